@@ -1,0 +1,49 @@
+"""Adversarial imitation learning via random search, in JAX."""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from ailsrs_jax.versions import require_supported
+
+if TYPE_CHECKING:
+    from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
+    from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
+    from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
+    from ailsrs_jax.data.policies import load_policy as load_policy
+    from ailsrs_jax.envs.registry import make_env as make_env
+    from ailsrs_jax.errors import UserError as UserError
+    from ailsrs_jax.runs.evaluation import evaluate as evaluate
+    from ailsrs_jax.runs.run import train as train
+    from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
+    from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
+    from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
+    from ailsrs_jax.trainers.ars import Ars as Ars
+    from ailsrs_jax.trainers.ars import ArsSettings as ArsSettings
+
+# Where each public name lives. They are imported when first used: JAX takes seconds to import, and
+# the command line should answer before that.
+_HOMES = {
+    "Ailsrs": "trainers.ailsrs",
+    "AilsrsSettings": "trainers.ailsrs",
+    "Ars": "trainers.ars",
+    "ArsSettings": "trainers.ars",
+    "Demonstrations": "data.demonstrations",
+    "SavedPolicy": "data.policies",
+    "UserError": "errors",
+    "evaluate": "runs.evaluation",
+    "load_demonstrations": "data.demonstrations",
+    "load_policy": "data.policies",
+    "make_ailsrs": "trainers.ailsrs",
+    "make_env": "envs.registry",
+    "train": "runs.run",
+}
+
+__all__ = sorted(_HOMES)
+
+require_supported()
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ailsrs_jax' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"ailsrs_jax.{_HOMES[name]}"), name)

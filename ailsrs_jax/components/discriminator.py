@@ -1,0 +1,60 @@
+"""The discriminator: its network, its least-squares loss and the reward read off it.
+
+Convention, here and everywhere: the score D(s, a) = sigmoid(logit) is the judged probability that
+a step is the expert's. The expert's label is 1 (the paper's b) and the policy's is 0 (its a).
+"""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+
+EXPERT_LABEL = 1.0
+POLICY_LABEL = 0.0
+
+LogitFunction = Callable[[jax.Array], jax.Array]  # inputs (..., d) → logits (...)
+
+
+class Discriminator(nn.Module):
+    """Multilayer perceptron with tanh units; the paper has two hidden layers of 100."""
+
+    hidden_sizes: Sequence[int] = (100, 100)
+
+    @nn.compact
+    def __call__(self, inputs: jax.Array) -> jax.Array:
+        """Logits ``(...)`` of inputs ``(..., d)``; expert-like is high."""
+        hidden = inputs
+        for size in self.hidden_sizes:
+            hidden = nn.tanh(nn.Dense(size)(hidden))
+        logits: jax.Array = nn.Dense(1)(hidden).squeeze(-1)
+        return logits
+
+
+def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
+    """LS-GAN (Mao et al., 2017): ½ E_expert[(D − 1)²] + ½ E_policy[(D − 0)²]."""
+    expert_error = jax.nn.sigmoid(expert_logits) - EXPERT_LABEL
+    policy_error = jax.nn.sigmoid(policy_logits) - POLICY_LABEL
+    return 0.5 * jnp.mean(jnp.square(expert_error)) + 0.5 * jnp.mean(jnp.square(policy_error))
+
+
+def gradient_penalty(
+    logit_function: LogitFunction,
+    policy_inputs: jax.Array,
+    expert_inputs: jax.Array,
+    key: jax.Array,
+) -> jax.Array:
+    """E[‖∇_x D(x)‖²] at random points x between paired samples ``(batch, d)`` of both sides.
+
+    Zero-centred: it bounds how steep the score can get between policy and expert, which keeps the
+    reward informative when the two are easily told apart (Thanh-Tung et al., 2019).
+    """
+    fractions = jax.random.uniform(key, (policy_inputs.shape[0], 1))
+    points = fractions * policy_inputs + (1.0 - fractions) * expert_inputs
+    gradients = jax.vmap(jax.grad(lambda x: jax.nn.sigmoid(logit_function(x))))(points)
+    return jnp.mean(jnp.sum(jnp.square(gradients), axis=-1))
+
+
+def imitation_reward(logits: jax.Array) -> jax.Array:
+    """The paper's reward of a step, −log(1 − D) = softplus(logit) > 0; expert-like is high."""
+    return jax.nn.softplus(logits)

@@ -1,0 +1,24 @@
+"""Behaviour cloning of a linear policy, solved exactly."""
+
+import jax
+import jax.numpy as jnp
+
+
+def ridge_regression(
+    inputs: jax.Array, targets: jax.Array, mask: jax.Array, penalty: float = 1e-4
+) -> jax.Array:
+    """The ``W (p, n)`` that minimises mean ‖W x − y‖² + penalty ‖W‖² over the masked samples.
+
+    Args:
+        inputs: ``(..., n)`` x, standardised.
+        targets: ``(..., p)`` y.
+        mask: ``(...)`` bool, which samples count.
+        penalty: keeps the solution defined when inputs are collinear or few.
+    """
+    weight = mask.reshape(-1, 1).astype(inputs.dtype)
+    x = inputs.reshape(-1, inputs.shape[-1]) * weight
+    y = targets.reshape(-1, targets.shape[-1]) * weight
+    count = jnp.maximum(weight.sum(), 1.0)
+    gram = jnp.matmul(x.T, x, precision="highest") / count
+    moments = jnp.matmul(x.T, y, precision="highest") / count
+    return jnp.linalg.solve(gram + penalty * jnp.eye(x.shape[-1]), moments).T

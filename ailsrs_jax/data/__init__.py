@@ -1,0 +1,1 @@
+"""Demonstrations, policies and experts on disk: knows no training."""

@@ -1,0 +1,67 @@
+"""Reading archives that may be anything; writing files so that nobody sees half of one."""
+
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from ailsrs_jax.errors import UserError
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Call ``write`` with a temporary file beside ``path``, then rename it to ``path``.
+
+    Raises:
+        UserError: the place cannot be written to.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
+            temporary = Path(file.name)
+            try:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+                temporary.chmod(0o644)  # temporary files are private, results are not
+                temporary.replace(path)
+            except BaseException:
+                temporary.unlink()
+                raise
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def require_writable(path: Path) -> None:
+    """Raise UserError unless a file can be written at ``path``: for asking before a long run."""
+    folder = path.parent
+    while not folder.exists():
+        folder = folder.parent
+    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise UserError(f"cannot write {path}")
+
+
+def read_npz(path: Path, fields: tuple[str, ...], what: str) -> dict[str, np.ndarray]:
+    """Read the arrays ``fields`` of a ``.npz`` file that should hold ``what``.
+
+    Raises:
+        UserError: it is missing, damaged, pickled, or lacks a field.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise UserError(f"{path} is not a .npz file of {what}")
+            missing = [name for name in fields if name not in archive.files]
+            if missing:
+                raise UserError(f"{path} has no {', '.join(missing)}: not a file of {what}")
+            return {name: archive[name] for name in fields}
+    except FileNotFoundError:
+        raise UserError(f"no such file: {path}") from None
+    except UserError:
+        raise
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        reason = "it holds pickled objects" if "pickle" in str(error) else "it is damaged"
+        raise UserError(f"{path} is not a .npz file of {what}: {reason}") from error

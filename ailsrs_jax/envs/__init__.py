@@ -1,0 +1,9 @@
+"""Gymnasium's MuJoCo v5 tasks as Brax environments, on two physics engines."""
+
+import contextlib
+import io
+
+# MJX, which Brax imports, prints a line for each optional backend that is missing.
+with contextlib.redirect_stdout(io.StringIO()):
+    from brax.envs.base import Env as Env
+    from brax.envs.base import State as State

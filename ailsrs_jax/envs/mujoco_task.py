@@ -1,0 +1,159 @@
+"""What Gymnasium's MuJoCo v5 tasks have in common, as a Brax environment."""
+
+import contextlib
+import importlib.util
+import os
+from abc import abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.physics import Physics, PhysicsState, make_physics
+from ailsrs_jax.errors import UserError
+
+
+class MujocoTask(Env):
+    """A locomotion task of Gymnasium v5: same model, observation, reward, reset and termination.
+
+    The model file is read from the installed ``gymnasium``, so it is the same by construction.
+    There is no auto-reset: ``done`` becomes 1 when the episode ends in a terminal state, and what
+    comes after is meaningless. As in Gymnasium, the time limit is not the task's business.
+
+    A subclass gives the reward's terms and, where they differ, termination, reset noise and
+    observation. Actions are not clipped here; MuJoCo clamps what reaches the actuators, and the
+    control cost sees the action as given, both as in Gymnasium.
+    """
+
+    def __init__(
+        self,
+        *,
+        physics: str,
+        xml_file: str,
+        frame_skip: int,
+        reset_noise_scale: float,
+        num_hidden_positions: int,
+    ) -> None:
+        """Load the model.
+
+        Args:
+            physics: ``auto``, ``mjx`` or ``mujoco``.
+            xml_file: a model of Gymnasium's by name, or a path with ``/``, ``.`` or ``~``.
+            frame_skip: physics steps per environment step.
+            reset_noise_scale: size of the noise on the initial positions and velocities.
+            num_hidden_positions: leading entries of ``qpos`` that the observation leaves out.
+        """
+        model = load_model(xml_file)
+        self.physics: Physics = make_physics(physics, model, frame_skip)
+        self.dt = float(model.opt.timestep) * frame_skip
+        self._reset_noise_scale = reset_noise_scale
+        self._num_hidden_positions = num_hidden_positions
+        self._initial_qpos = jnp.asarray(model.qpos0, jnp.float32)
+        self.action_low = np.float32(model.actuator_ctrlrange[:, 0])
+        self.action_high = np.float32(model.actuator_ctrlrange[:, 1])
+
+    @property
+    def observation_size(self) -> int:
+        """Length n of an observation."""
+        model = self.physics.model
+        return int(model.nq + model.nv - self._num_hidden_positions)
+
+    @property
+    def action_size(self) -> int:
+        """Length p of an action."""
+        return int(self.physics.model.nu)
+
+    @property
+    def backend(self) -> str:
+        """The physics engine's name."""
+        return self.physics.name
+
+    def reset(self, rng: jax.Array) -> State:
+        """Start an episode from the initial pose plus noise drawn with the key ``rng``."""
+        qpos_key, qvel_key = jax.random.split(rng)
+        noise = self._reset_noise_scale
+        qpos = self._initial_qpos + jax.random.uniform(
+            qpos_key, self._initial_qpos.shape, minval=-noise, maxval=noise
+        )
+        physics_state = self.physics.init(qpos, self._initial_velocity(qvel_key))
+        zeros = jax.tree.map(jnp.zeros_like, self._reward_terms(physics_state, physics_state, 0.0))
+        return State(
+            pipeline_state=physics_state,
+            obs=self._observation(physics_state),
+            reward=jnp.zeros(()),
+            done=jnp.zeros(()),
+            metrics=zeros | self._positions(physics_state),
+        )
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Apply ``action (p,)`` for ``frame_skip`` physics steps."""
+        before = state.pipeline_state
+        after = self.physics.step(before, action, state.done == 0)
+        terms = self._reward_terms(before, after, action)
+        return state.replace(
+            pipeline_state=after,
+            obs=self._observation(after),
+            reward=sum(terms.values()),
+            done=self._terminated(after).astype(jnp.float32),
+            metrics=terms | self._positions(after),
+        )
+
+    @abstractmethod
+    def _reward_terms(
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array | float
+    ) -> dict[str, jax.Array]:
+        """The summands of the environment's reward, under Gymnasium's names."""
+
+    def _terminated(self, physics_state: PhysicsState) -> jax.Array:
+        del physics_state
+        return jnp.zeros((), bool)
+
+    def _observation(self, physics_state: PhysicsState) -> jax.Array:
+        positions = physics_state.qpos[self._num_hidden_positions :]
+        return jnp.concatenate([positions, physics_state.qvel])
+
+    def _positions(self, physics_state: PhysicsState) -> dict[str, jax.Array]:
+        return {"x_position": physics_state.qpos[0]}
+
+    def _initial_velocity(self, key: jax.Array) -> jax.Array:
+        noise = self._reset_noise_scale
+        return jax.random.uniform(key, (self.physics.model.nv,), minval=-noise, maxval=noise)
+
+    def _forward_velocity(self, before: PhysicsState, after: PhysicsState) -> jax.Array:
+        return (after.qpos[0] - before.qpos[0]) / self.dt
+
+
+def load_model(xml_file: str) -> mujoco.MjModel:
+    """Read a model: one of Gymnasium's by its file name, or a path of one's own.
+
+    Raises:
+        UserError: there is no such file, or MuJoCo cannot read it.
+    """
+    gymnasium = importlib.util.find_spec("gymnasium")
+    assert gymnasium is not None
+    assert gymnasium.submodule_search_locations is not None
+    assets = Path(gymnasium.submodule_search_locations[0], "envs", "mujoco", "assets")
+    is_path = xml_file.startswith((".", "~", os.sep))
+    path = Path(xml_file).expanduser() if is_path else assets / xml_file
+    if not path.is_file():
+        raise UserError(f"no model file {path}")
+    try:
+        with without_warnings():
+            return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise UserError(f"MuJoCo cannot read {path}: {str(error).splitlines()[0]}") from error
+
+
+@contextlib.contextmanager
+def without_warnings() -> Iterator[None]:
+    """Keep MuJoCo from printing, and logging to the working directory, that a model is old."""
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(previous)

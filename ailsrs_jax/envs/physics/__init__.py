@@ -1,0 +1,38 @@
+"""Physics engines behind one small interface."""
+
+import jax
+import mujoco
+
+from ailsrs_jax.envs.physics.base import Physics as Physics
+from ailsrs_jax.envs.physics.base import PhysicsState as PhysicsState
+from ailsrs_jax.errors import UserError
+
+ENGINES = ("mjx", "mujoco")
+
+
+def choose_engine(requested: str) -> tuple[str, str]:
+    """Resolve ``auto`` and return the engine's name with the reason for it, for people to read.
+
+    Raises:
+        UserError: there is no such engine.
+    """
+    if requested in ENGINES:
+        return requested, "as requested"
+    if requested != "auto":
+        raise UserError(f"unknown physics '{requested}': use auto, {' or '.join(ENGINES)}")
+    backend = jax.default_backend()
+    if backend == "cpu":
+        return "mujoco", "no accelerator: MuJoCo's C engine, one thread per core"
+    return "mjx", f"JAX runs on {backend}: the whole training step is one XLA program"
+
+
+def make_physics(engine: str, model: mujoco.MjModel, frame_skip: int) -> Physics:
+    """Build the engine called ``engine`` (see :func:`choose_engine`) for ``model``."""
+    name, _ = choose_engine(engine)
+    if name == "mjx":
+        from ailsrs_jax.envs.physics.mjx_engine import MjxPhysics  # slow to import, often unused
+
+        return MjxPhysics(model, frame_skip)
+    from ailsrs_jax.envs.physics.mujoco_engine import MujocoPhysics
+
+    return MujocoPhysics(model, frame_skip)

@@ -1,0 +1,1 @@
+"""Whole runs: on disk, with progress, evaluated."""

@@ -1,0 +1,101 @@
+"""What a run was asked to do, as written to ``config.json``."""
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ailsrs_jax.data.demonstrations import FIELDS, Demonstrations
+from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.ailsrs import AilsrsSettings
+from ailsrs_jax.trainers.ars import ArsSettings
+
+SettingsT = TypeVar("SettingsT", AilsrsSettings, ArsSettings)
+
+VERSIONED_PACKAGES = ("ailsrs_jax", "jax", "mujoco", "gymnasium")
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run's numbers depend on."""
+
+    env_id: str
+    physics: str  # the engine, never "auto"
+    seeds: tuple[int, ...]
+    num_trajectories: int
+    demonstrations: str  # a path, or which expert they are of
+    demonstrations_sha256: str
+    preset: str
+    settings: AilsrsSettings
+    algorithm: str = "ailsrs"
+
+    def save(self, path: Path) -> None:
+        """Write JSON, whole or not at all, with the versions of what computes the numbers."""
+        versions = {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}
+        text = json.dumps(self._as_json() | {"versions": versions}, indent=2)
+        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+
+    def require_same(self, path: Path) -> None:
+        """Raise UserError, naming each difference, unless ``path`` holds this configuration."""
+        try:
+            saved = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise UserError(f"nothing to resume: cannot read {path}") from error
+        mine, saved = _flatten(self._as_json()), _flatten(saved)
+        differences = [
+            f"{name} is {mine[name]}, was {saved.get(name, 'not set')}"
+            for name in mine
+            if mine[name] != saved.get(name)
+        ]
+        if differences:
+            raise UserError(f"cannot resume {path.parent}: {'; '.join(differences)}")
+
+    def _as_json(self) -> dict[str, Any]:
+        fields: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
+        return fields
+
+
+def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(tree, dict):
+        return {prefix.removesuffix("."): tree}
+    return {k: v for key in tree for k, v in _flatten(tree[key], f"{prefix}{key}.").items()}
+
+
+def content_hash(demonstrations: Demonstrations) -> str:
+    """SHA-256 of what the demonstrations hold, whatever file they came from."""
+    digest = hashlib.sha256()
+    for name in FIELDS:
+        array = np.asarray(getattr(demonstrations, name))
+        digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
+    """Replace fields of ``settings`` by values given as text.
+
+    Raises:
+        UserError: there is no such field, or the text is not of its type.
+    """
+    changes: dict[str, Any] = {}
+    for name, text in assignments.items():
+        if name not in {field.name for field in dataclasses.fields(settings)}:
+            names = ", ".join(field.name for field in dataclasses.fields(settings))
+            raise UserError(f"there is no setting '{name}': use one of {names}")
+        changes[name] = _parse(name, text, type(getattr(settings, name)))
+    return dataclasses.replace(settings, **changes)
+
+
+def _parse(name: str, text: str, kind: type) -> bool | int | float | str:
+    try:
+        if kind is bool:
+            return {"true": True, "false": False}[text.lower()]
+        value: int | float | str = kind(text)
+        return value
+    except (KeyError, ValueError):
+        expected = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+        raise UserError(f"setting {name} is '{text}': it must be {expected}") from None

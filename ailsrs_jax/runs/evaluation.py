@@ -1,0 +1,77 @@
+"""The environment's return of a finished policy, on any engine or in Gymnasium itself."""
+
+import dataclasses
+
+import gymnasium
+import numpy as np
+
+from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.envs.mujoco_task import without_warnings
+from ailsrs_jax.envs.registry import make_env, resolve_env_id
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Undiscounted returns and lengths of some episodes."""
+
+    returns: np.ndarray  # (E,)
+    lengths: np.ndarray  # (E,)
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(self.returns.mean())
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the return over episodes."""
+        return float(self.returns.std())
+
+
+def evaluate(
+    policy: SavedPolicy, num_episodes: int = 100, physics: str = "gymnasium", seed: int = 0
+) -> Evaluation:
+    """Measure the return of ``policy`` in its environment.
+
+    Args:
+        policy: the policy; it is deterministic and is applied as it is.
+        num_episodes: episodes of at most 1000 steps.
+        physics: ``gymnasium`` drives ``gymnasium.make(env_id)`` with the policy in NumPy; ``mjx``,
+            ``mujoco`` and ``auto`` simulate our own task.
+        seed: of the initial states.
+
+    Raises:
+        UserError: unknown environment or physics, no episodes, or a policy that does not fit.
+    """
+    if num_episodes < 1:
+        raise UserError(f"{num_episodes} episodes asked for: at least one is needed")
+    env_id = resolve_env_id(policy.env_id)
+    if physics == "gymnasium":
+        return _evaluate_in_gymnasium(policy, env_id, num_episodes, seed)
+    env = make_env(env_id, physics)
+    episodes = simulate(policy, env, num_episodes, seed, EPISODE_LENGTH)
+    return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
+
+
+def _evaluate_in_gymnasium(
+    policy: SavedPolicy, env_id: str, num_episodes: int, seed: int
+) -> Evaluation:
+    with without_warnings():
+        env = gymnasium.make(env_id)
+    observation_shape, action_shape = env.observation_space.shape, env.action_space.shape
+    assert observation_shape is not None
+    assert action_shape is not None
+    policy.require_shape(action_shape[0], observation_shape[0])
+    returns, lengths = np.zeros(num_episodes), np.zeros(num_episodes, int)
+    for episode in range(num_episodes):
+        observation, _ = env.reset(seed=seed + episode)
+        over = False
+        while not over:
+            observation, reward, terminated, truncated, _ = env.step(policy(observation))
+            returns[episode] += float(reward)
+            lengths[episode] += 1
+            over = terminated or truncated
+    env.close()
+    return Evaluation(returns, lengths)

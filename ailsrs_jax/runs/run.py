@@ -1,0 +1,218 @@
+"""One run: several seeds of AILSRS on one task, from demonstrations to saved policies."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations
+from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.physics import choose_engine
+from ailsrs_jax.envs.registry import make_env, resolve_env_id
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.checkpoint import Checkpoints
+from ailsrs_jax.runs.config import RunConfig, content_hash, override
+from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
+from ailsrs_jax.trainers.ailsrs import make_ailsrs
+
+CHECKPOINT_EVERY = 10  # iterations; one takes a second or so
+
+Watch = Callable[[IterationReport], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A run that is checked and ready to start."""
+
+    config: RunConfig
+    env: MujocoTask
+    demonstrations: Demonstrations
+    physics_reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a run leaves."""
+
+    config: RunConfig
+    policies: dict[int, SavedPolicy]  # the kept policy of each seed
+    kept_iterations: dict[int, int]  # when each was found
+    expert_return: float  # mean over the demonstrations
+
+
+def train(
+    env: str,
+    demonstrations: str | Path | Demonstrations | None = None,
+    *,
+    num_trajectories: int = 10,
+    seeds: Sequence[int] = (0,),
+    preset: str = "tuned",
+    physics: str = "auto",
+    output: str | Path | None = None,
+    resume: bool = False,
+    watch: Watch | None = None,
+    **settings: Any,
+) -> Result:
+    """Train a linear policy to imitate demonstrations.
+
+    Args:
+        env: the task, ``Hopper-v5`` or ``hopper``.
+        demonstrations: a file or demonstrations in memory; without any, those of the expert that
+            ships with the package.
+        num_trajectories: use the first so many.
+        seeds: all are trained together, as one batched program.
+        preset: ``tuned`` or ``paper``.
+        physics: ``auto``, ``mjx`` or ``mujoco``.
+        output: a run directory to write; without it nothing is written.
+        resume: go on from the newest checkpoint in ``output``.
+        watch: called after every iteration.
+        settings: fields of :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings` to change.
+
+    Raises:
+        UserError: something handed in is wrong.
+    """
+    assignments = {name: str(value) for name, value in settings.items()}
+    plan = make_plan(env, demonstrations, num_trajectories, seeds, preset, physics, assignments)
+    return execute(plan, Path(output) if output else None, resume=resume, watch=watch)
+
+
+def make_plan(
+    env: str,
+    demonstrations: str | Path | Demonstrations | None,
+    num_trajectories: int,
+    seeds: Sequence[int],
+    preset: str,
+    physics: str,
+    assignments: dict[str, str],
+) -> Plan:
+    """Check everything that a run is given, before anything is written or computed.
+
+    Raises:
+        UserError: something is wrong.
+    """
+    env_id = resolve_env_id(env)
+    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+        raise UserError(f"seeds are {list(seeds)}: give different whole numbers from 0")
+    settings = override(preset_settings(env_id, preset), assignments)
+    engine, reason = choose_engine(physics)
+    task = make_env(env_id, engine)
+    source = "of the expert that ships with the package"
+    if demonstrations is None:
+        demonstrations = expert_demonstrations(env_id, num_trajectories, engine)
+    elif isinstance(demonstrations, Demonstrations):
+        source = "handed in"
+    else:
+        source, demonstrations = str(demonstrations), load_demonstrations(demonstrations)
+    demonstrations = demonstrations.first(num_trajectories)
+    _require_fit(demonstrations, env_id, task)
+    config = RunConfig(
+        env_id=env_id,
+        physics=engine,
+        seeds=tuple(seeds),
+        num_trajectories=num_trajectories,
+        demonstrations=source,
+        demonstrations_sha256=content_hash(demonstrations),
+        preset=preset,
+        settings=settings,
+    )
+    return Plan(config, task, demonstrations, reason)
+
+
+def execute(
+    plan: Plan, output: Path | None = None, *, resume: bool = False, watch: Watch | None = None
+) -> Result:
+    """Run ``plan``, and write its directory ``output`` if there is one.
+
+    Raises:
+        UserError: the directory holds another run, or cannot be written.
+    """
+    config, settings = plan.config, plan.config.settings
+    trainer = make_ailsrs(plan.env, plan.demonstrations, settings)
+    update = jax.jit(jax.vmap(trainer.update))
+    keys = jax.vmap(jax.random.key)(jnp.array(config.seeds))
+    # The state and, exact beyond what int32 can count, the steps simulated so far.
+    progress = {
+        "state": jax.jit(jax.vmap(trainer.init))(keys),
+        "steps": np.zeros(len(keys), np.int64),
+    }
+    num_done = 0
+
+    with ExitStack() as stack:
+        metrics_file = checkpoints = None
+        if output is not None:
+            _prepare_directory(output, config, resume)
+            checkpoints = stack.enter_context(Checkpoints(output / "checkpoints", CHECKPOINT_EVERY))
+            num_done, progress = checkpoints.restore(progress)
+            metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
+
+        state, env_steps = progress["state"], np.asarray(progress["steps"])
+        for iteration in range(num_done, settings.num_iterations):
+            started = time.perf_counter()
+            state, device_metrics = update(state)
+            metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
+            live_steps = metrics["env_steps"].astype(np.int64)
+            env_steps = env_steps + live_steps
+            report = IterationReport(
+                iteration=iteration,
+                num_iterations=settings.num_iterations,
+                metrics=metrics | {"env_steps": env_steps},
+                env_steps_per_second=live_steps.sum() / (time.perf_counter() - started),
+            )
+            if metrics_file is not None and checkpoints is not None:
+                metrics_file.append(report)
+                checkpoints.save(iteration + 1, {"state": state, "steps": env_steps})
+            if watch is not None:
+                watch(report)
+        if checkpoints is not None:
+            done = settings.num_iterations
+            checkpoints.save(done, {"state": state, "steps": env_steps}, force=True)
+
+    kept = jax.tree.map(np.asarray, state.kept)
+    policies = {
+        seed: _saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
+        for index, seed in enumerate(config.seeds)
+    }
+    if output is not None:
+        for seed, policy in policies.items():
+            policy.save(output / f"seed_{seed}" / "policy.npz")
+    return Result(
+        config=config,
+        policies=policies,
+        kept_iterations=dict(zip(config.seeds, kept.iteration.tolist(), strict=True)),
+        expert_return=float(np.mean(plan.demonstrations.returns)),
+    )
+
+
+def _saved_policy(policy: LinearPolicy, env_id: str) -> SavedPolicy:
+    return SavedPolicy(**{name: np.asarray(x) for name, x in vars(policy).items()}, env_id=env_id)
+
+
+def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
+    config_path = output / "config.json"
+    if resume:
+        config.require_same(config_path)
+    elif output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise UserError(f"{output} is not empty: add --resume to go on, or choose another --output")
+    else:
+        config.save(config_path)
+
+
+def _require_fit(demonstrations: Demonstrations, env_id: str, env: MujocoTask) -> None:
+    if demonstrations.env_id != env_id:
+        raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
+    sizes = demonstrations.observations.shape[-1], demonstrations.actions.shape[-1]
+    if sizes != (env.observation_size, env.action_size):
+        raise UserError(
+            f"the demonstrations have {sizes[0]} observations and {sizes[1]} actions: {env_id} "
+            f"has {env.observation_size} and {env.action_size}"
+        )

@@ -1,0 +1,120 @@
+"""Augmented random search on the environment's own reward: how experts are made.
+
+Mania, Guy and Recht, "Simple random search of static linear policies is competitive for
+reinforcement learning", NeurIPS 2018.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ailsrs_jax.components import normalizer, random_search
+from ailsrs_jax.components.normalizer import RunningStatistics
+from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
+from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers.rollout import action_range, rollout
+
+
+@dataclasses.dataclass(frozen=True)
+class ArsSettings:
+    """Settings of :class:`Ars`; the defaults are ARS V2-t as in its paper's HalfCheetah."""
+
+    num_iterations: int = 300
+    num_directions: int = 32
+    num_top_directions: int = 4
+    step_size: float = 0.02
+    noise_std: float = 0.03
+    episode_length: int = 1000
+    scale_by_std: bool = True  # False is BRS
+    normalize_observations: bool = True  # False is BRS and V1
+    survival_bonus: float = 0.0  # subtracted from the reward of every step
+    num_evaluation_episodes: int = 8
+
+
+class TrainState(struct.PyTreeNode):
+    """What one iteration hands to the next."""
+
+    weights: jax.Array  # (p, n)
+    statistics: RunningStatistics  # of all states met
+    kept: KeptPolicy  # best by the return of its evaluation episodes
+    key: jax.Array
+    iteration: jax.Array  # () int32
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Ars:
+    """Random search of a linear policy on the reward of ``env``."""
+
+    env: Env
+    settings: ArsSettings
+
+    def init(self, key: jax.Array) -> TrainState:
+        """The paper's start: all weights zero, no statistics."""
+        weights = jnp.zeros((self.env.action_size, self.env.observation_size))
+        statistics = normalizer.init(self.env.observation_size)
+        return TrainState(
+            weights=weights,
+            statistics=statistics,
+            kept=keep(self.policy(weights, statistics)),
+            key=key,
+            iteration=jnp.zeros((), jnp.int32),
+        )
+
+    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
+        """The unperturbed policy, with statistics frozen as they are."""
+        low, high = action_range(self.env)
+        if not self.settings.normalize_observations:
+            statistics = normalizer.init(self.env.observation_size)
+        return LinearPolicy(weights, statistics.mean, statistics.std, low, high)
+
+    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+        """One iteration: perturb, roll out, step; then merge the states met."""
+        settings, n = self.settings, self.settings.num_directions
+        key, noise_key, reset_key = jax.random.split(state.key, 3)
+
+        deltas = random_search.sample_directions(noise_key, n, state.weights.shape)
+        perturbed = random_search.perturb(state.weights, deltas, settings.noise_std)
+        unperturbed = jnp.tile(state.weights, (settings.num_evaluation_episodes, 1, 1))
+        policy = self.policy(state.weights, state.statistics)
+        batch = rollout(
+            self.env,
+            policy.with_weights(jnp.concatenate([perturbed, unperturbed])),
+            jax.random.split(reset_key, 2 * n + settings.num_evaluation_episodes),
+            settings.episode_length,
+        )
+
+        returns = batch.env_returns - settings.survival_bonus * batch.lengths
+        evaluation_return = batch.env_returns[2 * n :].mean()
+        weights = random_search.step(
+            state.weights,
+            deltas,
+            returns[:n],
+            returns[n : 2 * n],
+            step_size=settings.step_size,
+            num_top_directions=settings.num_top_directions,
+            scale_by_std=settings.scale_by_std,
+        )
+        explored = batch.episodes(0, 2 * n)
+        metrics = {
+            "evaluation_return": evaluation_return,
+            "evaluation_length": batch.lengths[2 * n :].mean(),
+            "env_steps": batch.env_steps,
+        }
+        state = TrainState(
+            weights=weights,
+            statistics=normalizer.update(state.statistics, explored.observations, explored.alive),
+            kept=state.kept.offer(policy, evaluation_return, state.iteration),
+            key=key,
+            iteration=state.iteration + 1,
+        )
+        return state, metrics
+
+    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
+        """The whole run as one function of a key; metrics are stacked over iterations."""
+        return jax.lax.scan(
+            lambda state, _: self.update(state),
+            self.init(key),
+            length=self.settings.num_iterations,
+        )

@@ -2,7 +2,6 @@
 
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
@@ -51,17 +50,18 @@ def read_npz(path: Path, fields: tuple[str, ...], what: str) -> dict[str, np.nda
         UserError: it is missing, damaged, pickled, or lacks a field.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise UserError(f"{path} is not a .npz file of {what}")
             missing = [name for name in fields if name not in archive.files]
             if missing:
                 raise UserError(f"{path} has no {', '.join(missing)}: not a file of {what}")
             return {name: archive[name] for name in fields}
-    except FileNotFoundError:
-        raise UserError(f"no such file: {path}") from None
     except UserError:
         raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except FileNotFoundError:
+        raise UserError(f"no such file: {path}") from None
+    except Exception as error:  # damaged archives raise whatever their reader stumbles over
         reason = "it holds pickled objects" if "pickle" in str(error) else "it is damaged"
         raise UserError(f"{path} is not a .npz file of {what}: {reason}") from error

@@ -5,7 +5,7 @@ import hashlib
 import importlib.metadata
 import json
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from ailsrs_jax.data.demonstrations import FIELDS, Demonstrations
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
-from ailsrs_jax.trainers.ars import ArsSettings
-
-SettingsT = TypeVar("SettingsT", AilsrsSettings, ArsSettings)
 
 VERSIONED_PACKAGES = ("ailsrs_jax", "jax", "mujoco", "gymnasium")
 
@@ -73,29 +70,3 @@ def content_hash(demonstrations: Demonstrations) -> str:
         array = np.asarray(getattr(demonstrations, name))
         digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
     return digest.hexdigest()
-
-
-def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
-    """Replace fields of ``settings`` by values given as text.
-
-    Raises:
-        UserError: there is no such field, or the text is not of its type.
-    """
-    changes: dict[str, Any] = {}
-    for name, text in assignments.items():
-        if name not in {field.name for field in dataclasses.fields(settings)}:
-            names = ", ".join(field.name for field in dataclasses.fields(settings))
-            raise UserError(f"there is no setting '{name}': use one of {names}")
-        changes[name] = _parse(name, text, type(getattr(settings, name)))
-    return dataclasses.replace(settings, **changes)
-
-
-def _parse(name: str, text: str, kind: type) -> bool | int | float | str:
-    try:
-        if kind is bool:
-            return {"true": True, "false": False}[text.lower()]
-        value: int | float | str = kind(text)
-        return value
-    except (KeyError, ValueError):
-        expected = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
-        raise UserError(f"setting {name} is '{text}': it must be {expected}") from None

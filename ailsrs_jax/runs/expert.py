@@ -9,11 +9,11 @@ import numpy as np
 from ailsrs_jax.data.files import require_writable
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs.registry import make_env, resolve_env_id
-from ailsrs_jax.runs.config import override
 from ailsrs_jax.runs.presets import EXPERTS
 from ailsrs_jax.runs.run import Watch
 from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.ars import Ars
+from ailsrs_jax.trainers.settings import override
 
 
 def train_expert(

@@ -19,11 +19,12 @@ from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import make_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.config import RunConfig, content_hash, override
+from ailsrs_jax.runs.config import RunConfig, content_hash
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
+from ailsrs_jax.trainers.settings import override
 
 CHECKPOINT_EVERY = 10  # iterations; one takes a second or so
 

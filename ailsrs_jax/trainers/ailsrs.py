@@ -190,7 +190,7 @@ class Ailsrs:
         return optax.adam(self.settings.discriminator_learning_rate)
 
     def _logits(self, parameters: Any, inputs: jax.Array) -> jax.Array:
-        return cast(jax.Array, self.network.apply(parameters, inputs))
+        return cast("jax.Array", self.network.apply(parameters, inputs))
 
     def _step_size(self, iteration: jax.Array) -> jax.Array:
         settings = self.settings

@@ -1,0 +1,65 @@
+"""Checking the settings of a trainer, and changing them by name."""
+
+import dataclasses
+import math
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from ailsrs_jax.errors import UserError
+
+POSITIVE = {"step_size", "noise_std", "discriminator_learning_rate"}
+
+SettingsT = TypeVar("SettingsT")
+
+
+def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
+    """Replace fields of the dataclass ``settings`` by values given as text, and check the result.
+
+    Raises:
+        UserError: there is no such field, or the value makes no sense.
+    """
+    types = get_type_hints(type(settings))
+    changes: dict[str, Any] = {}
+    for name, text in assignments.items():
+        if name not in types:
+            raise UserError(f"there is no setting '{name}': use one of {', '.join(types)}")
+        changes[name] = _parse(name, text, types[name])
+    changed = dataclasses.replace(settings, **changes)  # type: ignore[type-var]
+    validate(changed)
+    return changed
+
+
+def validate(settings: Any) -> None:
+    """Raise UserError unless the values of a trainer's settings make sense."""
+    values = vars(settings)
+    for name, value in values.items():
+        if type(value) is int and value < 1:
+            raise UserError(f"setting {name} is {value}: it must be at least 1")
+        if type(value) is float and not math.isfinite(value):
+            raise UserError(f"setting {name} is {value}: it must be finite")
+        if name in POSITIVE and value <= 0:
+            raise UserError(f"setting {name} is {value}: it must be positive")
+        if type(value) is float and name != "survival_bonus" and value < 0:
+            raise UserError(f"setting {name} is {value}: it must not be negative")
+    if values["num_top_directions"] > values["num_directions"]:
+        raise UserError(
+            f"setting num_top_directions is {values['num_top_directions']}: it must be from 1 to "
+            f"num_directions, {values['num_directions']}"
+        )
+
+
+def _parse(name: str, text: str, kind: Any) -> Any:
+    choices = get_args(kind) if get_origin(kind) is Literal else ()
+    if choices:
+        if text in choices:
+            return text
+        expected = " or ".join(choices)
+    elif kind is bool:
+        if text.lower() in ("true", "false"):
+            return text.lower() == "true"
+        expected = "true or false"
+    else:
+        try:
+            return kind(text)
+        except ValueError:
+            expected = "a whole number" if kind is int else "a number"
+    raise UserError(f"setting {name} is '{text}': it must be {expected}")

@@ -1,0 +1,55 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.components.linear_regression import ridge_regression
+from ailsrs_jax.components.policy import LinearPolicy, keep
+
+
+def some_policy(value: float = 1.0) -> LinearPolicy:
+    return LinearPolicy(
+        weights=jnp.full((1, 2), value),
+        mean=jnp.array([1.0, 2.0]),
+        std=jnp.array([0.5, 4.0]),
+        action_low=jnp.array([-2.0]),
+        action_high=jnp.array([3.0]),
+    )
+
+
+def test_action_by_hand_and_clipped() -> None:
+    policy = some_policy()
+    np.testing.assert_allclose(policy(jnp.array([1.5, 6.0])), [2.0])  # 1·1 + 1·1
+    np.testing.assert_allclose(policy(jnp.array([9.0, 6.0])), [3.0])
+    np.testing.assert_allclose(policy(jnp.array([-9.0, 6.0])), [-2.0])
+
+
+def test_a_batch_of_policies_shares_statistics() -> None:
+    batch = some_policy().with_weights(jnp.array([[[1.0, 0.0]], [[0.0, 1.0]]]))
+    actions = jax.vmap(LinearPolicy.__call__, (0, None))(batch, jnp.array([2.0, 4.0]))
+    np.testing.assert_allclose(actions, [[2.0], [0.5]])
+
+
+def test_the_better_policy_is_kept() -> None:
+    kept = keep(some_policy(0.0))
+    for iteration, score in enumerate([-5.0, -1.0, jnp.nan, -3.0]):
+        kept = kept.offer(some_policy(float(iteration)), jnp.asarray(score), jnp.array(iteration))
+    assert int(kept.iteration) == 1
+    assert float(kept.score) == -1.0
+    np.testing.assert_array_equal(kept.policy.weights, jnp.ones((1, 2)))
+
+
+def test_ridge_regression_recovers_a_linear_map_and_ignores_the_masked() -> None:
+    weights = jax.random.normal(jax.random.key(0), (2, 5))
+    inputs = jax.random.normal(jax.random.key(1), (4, 50, 5))
+    mask = jnp.arange(50) < jnp.array([[50], [20], [1], [0]])
+    targets = jnp.where(mask[..., None], inputs @ weights.T, 1e3)
+    found = jax.jit(ridge_regression)(inputs, targets, mask, penalty=1e-6)
+    np.testing.assert_allclose(found, weights, atol=1e-3)
+
+
+def test_ridge_regression_solves_the_normal_equations() -> None:
+    inputs = np.random.default_rng(0).normal(size=(30, 3))
+    targets = np.random.default_rng(1).normal(size=(30, 2))
+    expected = np.linalg.solve(inputs.T @ inputs / 30 + 0.1 * np.eye(3), inputs.T @ targets / 30).T
+    found = ridge_regression(jnp.float32(inputs), jnp.float32(targets), jnp.ones(30, bool), 0.1)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)

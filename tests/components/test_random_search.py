@@ -1,0 +1,76 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ailsrs_jax.components import random_search
+
+
+def numpy_step(weights, deltas, plus, minus, step_size, num_top, scale_by_std):
+    """Written from the ARS paper's Algorithms 1 and 2, in float64."""
+    order = sorted(range(len(plus)), key=lambda i: -max(plus[i], minus[i]))[:num_top]
+    used = np.array([plus[i] for i in order] + [minus[i] for i in order])
+    sigma = used.std() if scale_by_std else 1.0
+    if sigma == 0:
+        return weights
+    update = sum((plus[i] - minus[i]) * deltas[i] for i in order)
+    return weights + step_size / (num_top * sigma) * update
+
+
+returns = st.lists(st.sampled_from([-2.0, 0.0, 0.5, 1.0, 3.0]), min_size=6, max_size=6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    plus=returns, minus=returns, num_top=st.integers(1, 6), scale=st.booleans(), seed=st.integers(0)
+)
+def test_equals_the_reference_ties_included(plus, minus, num_top, scale, seed) -> None:
+    rng = np.random.default_rng(seed % 2**32)
+    weights, deltas = rng.normal(size=(2, 3)), rng.normal(size=(6, 2, 3))
+    expected = numpy_step(weights, deltas, plus, minus, 0.1, num_top, scale)
+    actual = random_search.step(
+        *map(jnp.float32, (weights, deltas, plus, minus)),
+        step_size=0.1,
+        num_top_directions=num_top,
+        scale_by_std=scale,
+    )
+    np.testing.assert_allclose(actual, expected, rtol=2e-5, atol=2e-5)
+
+
+def test_by_hand() -> None:
+    deltas = jnp.array([[[1.0, 0.0]], [[0.0, 1.0]]])
+    actual = jax.jit(random_search.step, static_argnames="num_top_directions")(
+        jnp.zeros((1, 2)),
+        deltas,
+        jnp.array([3.0, 0.0]),
+        jnp.array([1.0, 0.5]),
+        step_size=0.5,
+        num_top_directions=1,
+    )
+    # The first direction alone: (3 − 1) δ / σ(3, 1) = 2 δ, times α / b = 0.5.
+    np.testing.assert_allclose(actual, [[1.0, 0.0]])
+
+
+def test_perturbations_are_mirrored() -> None:
+    weights = jnp.full((2, 3), 5.0)
+    deltas = random_search.sample_directions(jax.random.key(0), 4, (2, 3))
+    perturbed = random_search.perturb(weights, deltas, 0.1)
+    assert perturbed.shape == (8, 2, 3)
+    np.testing.assert_allclose(perturbed[:4] + perturbed[4:], 2 * jnp.tile(weights, (4, 1, 1)))
+    np.testing.assert_allclose(perturbed[0] - weights, 0.1 * deltas[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [True, False])
+def test_climbs_a_linear_slope(scale: bool) -> None:
+    slope = jnp.array([[1.0, -2.0]])
+    deltas = random_search.sample_directions(jax.random.key(1), 2000, (1, 2))
+    gain = jnp.einsum("nij,ij->n", deltas, slope)
+    moved = random_search.step(
+        jnp.zeros((1, 2)), deltas, gain, -gain, step_size=1.0, num_top_directions=2000,
+        scale_by_std=scale,
+    )  # fmt: skip
+    # E[(r⁺ − r⁻) δ] = 2 slope; σ of ±gain is ‖slope‖.
+    expected = 2 * slope / (jnp.linalg.norm(slope) if scale else 1.0)
+    np.testing.assert_allclose(moved, expected, rtol=0.1)

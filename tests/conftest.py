@@ -1,0 +1,16 @@
+"""Fixtures for all tests."""
+
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from tests.point_mass import PointMass, point_mass_demonstrations
+
+
+@pytest.fixture(scope="session")
+def point_mass() -> PointMass:
+    return PointMass()
+
+
+@pytest.fixture(scope="session")
+def point_mass_expert(point_mass: PointMass) -> Demonstrations:
+    return point_mass_demonstrations(point_mass)

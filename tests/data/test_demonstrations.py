@@ -1,0 +1,143 @@
+import io
+import pickle
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from ailsrs_jax.errors import UserError
+
+
+def arrays() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "observations": rng.normal(size=(3, 5, 4)).astype(np.float32),
+        "actions": rng.normal(size=(3, 5, 2)).astype(np.float32),
+        "lengths": np.array([5, 2, 1]),
+        "returns": np.array([1.0, 2.0, 3.0], np.float32),
+        "env_id": np.array("Hopper-v5"),
+    }
+
+
+def test_survives_the_disk(tmp_path) -> None:
+    original = Demonstrations(**(arrays() | {"env_id": "Hopper-v5"}))
+    save_demonstrations(original, tmp_path / "new" / "demonstrations.npz")
+    loaded = load_demonstrations(tmp_path / "new" / "demonstrations.npz")
+    assert loaded.env_id == "Hopper-v5"
+    for name in ("lengths", "returns"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(original, name))
+    for name in ("observations", "actions"):
+        ours, theirs = getattr(loaded, name), getattr(original, name)
+        np.testing.assert_array_equal(ours[loaded.alive], theirs[loaded.alive])
+        assert not ours[~loaded.alive].any()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["demonstrations.npz"]
+
+
+def test_first(tmp_path) -> None:
+    demonstrations = Demonstrations(**(arrays() | {"env_id": "Hopper-v5"}))
+    assert demonstrations.first(2).observations.shape == (2, 5, 4)
+    for number in (0, 4, -1):
+        with pytest.raises(UserError, match="hold 3"):
+            demonstrations.first(number)
+
+
+def with_nan(array: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array[0, 0, 0] = np.nan
+    return array
+
+
+WRONG = {
+    "observations are (3, 20), not (E, T, n)": {"observations": np.zeros((3, 20))},
+    "actions (3, 4, 2) do not match observations": {"actions": np.zeros((3, 4, 2))},
+    "actions are (3, 5), not (E, T, p)": {"actions": np.zeros((3, 5))},
+    "there are no observations": {"observations": np.zeros((0, 5, 4))},
+    "lengths are (2,), not (3,)": {"lengths": np.array([1, 2])},
+    "lengths are not integers": {"lengths": np.array([1.0, 2.0, 3.0])},
+    "lengths are not all between 1 and 5": {"lengths": np.array([6, 1, 1])},
+    "returns are (3, 1), not (3,)": {"returns": np.zeros((3, 1))},
+    "returns are not numbers": {"returns": np.array(["a", "b", "c"])},
+    "observations hold NaN or infinity": {"observations": with_nan(arrays()["observations"])},
+    "actions hold NaN or infinity": {"actions": np.full((3, 5, 2), np.inf)},
+    "observations are not floating-point numbers": {"observations": np.zeros((3, 5, 4), int)},
+    "env_id is not a single string": {"env_id": np.array([1, 2])},
+    "pickled objects": {"observations": np.array([[object()]])},
+}
+
+
+@pytest.mark.parametrize(("message", "change"), WRONG.items())
+def test_contradictions_are_named(message: str, change: dict[str, np.ndarray], tmp_path) -> None:
+    path = tmp_path / "wrong.npz"
+    np.savez(path, **(arrays() | change))
+    with pytest.raises(UserError) as caught:
+        load_demonstrations(path)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_nan_after_an_episodes_end_is_nobodys_business(tmp_path) -> None:
+    padded = arrays()
+    padded["observations"][2, 3] = np.nan
+    np.savez(tmp_path / "padded.npz", **padded)
+    loaded = load_demonstrations(tmp_path / "padded.npz")
+    assert np.isfinite(loaded.observations).all()
+
+
+def test_missing_files_and_fields(tmp_path) -> None:
+    with pytest.raises(UserError, match="no such file"):
+        load_demonstrations(tmp_path / "none.npz")
+    with pytest.raises(UserError):
+        load_demonstrations(tmp_path)
+    incomplete = arrays()
+    del incomplete["lengths"]
+    np.savez(tmp_path / "incomplete.npz", **incomplete)
+    with pytest.raises(UserError, match="has no lengths"):
+        load_demonstrations(tmp_path / "incomplete.npz")
+    np.save(tmp_path / "single.npy", np.zeros(3))
+    with pytest.raises(UserError, match=r"not a \.npz file"):
+        load_demonstrations(tmp_path / "single.npy")
+
+
+def test_a_pickle_is_never_run(tmp_path) -> None:
+    marker = tmp_path / "executed"
+
+    class Malicious:
+        def __reduce__(self) -> tuple:
+            return (open, (str(marker), "w"))
+
+    (tmp_path / "pickle.npz").write_bytes(pickle.dumps(Malicious()))
+    with zipfile.ZipFile(tmp_path / "inside.npz", "w") as archive:
+        buffer = io.BytesIO()
+        np.save(buffer, np.array([Malicious()], dtype=object), allow_pickle=True)
+        for name in arrays():
+            archive.writestr(f"{name}.npy", buffer.getvalue())
+    for name in ("pickle.npz", "inside.npz"):
+        with pytest.raises(UserError):
+            load_demonstrations(tmp_path / name)
+    assert not marker.exists()
+
+
+def valid_file() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays())
+    return buffer.getvalue()
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_damaged_bytes_are_a_value_or_one_line(data, tmp_path_factory) -> None:
+    content = bytearray(valid_file())
+    for position in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
+        content[position] = data.draw(st.integers(0, 255))
+    content = content[: data.draw(st.integers(0, len(content)))]
+    path = tmp_path_factory.mktemp("damaged") / "file.npz"
+    path.write_bytes(bytes(content))
+    try:
+        loaded = load_demonstrations(path)
+    except UserError as error:
+        assert len(str(error).splitlines()) == 1  # noqa: PT017
+    else:
+        assert np.isfinite(loaded.observations).all()

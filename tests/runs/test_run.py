@@ -1,0 +1,200 @@
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.policies import load_policy
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs import run
+from ailsrs_jax.runs.checkpoint import Checkpoints
+from ailsrs_jax.runs.tracking import IterationReport
+
+ASSIGNMENTS = {
+    "num_iterations": "12",
+    "num_directions": "2",
+    "num_top_directions": "2",
+    "episode_length": "10",
+    "discriminator_batch_size": "16",
+    "memory_samples": "16",
+    "num_distance_samples": "50",
+}
+
+
+def swimmer_demonstrations() -> Demonstrations:
+    rng = np.random.default_rng(0)
+    return Demonstrations(
+        observations=rng.normal(size=(3, 10, 8)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (3, 10, 2)).astype(np.float32),
+        lengths=np.full(3, 10),
+        returns=np.array([1.0, 2.0, 3.0], np.float32),
+        env_id="Swimmer-v5",
+    )
+
+
+def make_plan(**changes: Any) -> run.Plan:
+    arguments: dict[str, Any] = {
+        "env": "swimmer",
+        "demonstrations": swimmer_demonstrations(),
+        "num_trajectories": 2,
+        "seeds": (0, 5),
+        "preset": "tuned",
+        "physics": "mujoco",
+        "assignments": ASSIGNMENTS,
+    }
+    return run.make_plan(**(arguments | changes))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, run.Result]:
+    directory = tmp_path_factory.mktemp("run") / "whole"
+    return directory, run.execute(make_plan(), directory)
+
+
+def test_directory_holds_what_is_promised(finished: tuple[Path, run.Result]) -> None:
+    directory, result = finished
+    config = json.loads((directory / "config.json").read_text())
+    assert config["env_id"] == "Swimmer-v5"
+    assert config["seeds"] == [0, 5]
+    assert config["settings"]["num_directions"] == 2
+    assert set(config["versions"]) == {"ailsrs_jax", "jax", "mujoco", "gymnasium"}
+
+    with (directory / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["iteration"], row["seed"]) for row in rows] == [
+        (str(iteration), seed) for iteration in range(12) for seed in ("0", "5")
+    ]
+    # 2N perturbed and the evaluation episodes, all of full length on the swimmer.
+    episodes = 2 * 2 + make_plan().config.settings.num_evaluation_episodes
+    assert [int(row["env_steps"]) for row in rows[::2]] == [
+        10 * episodes * iteration for iteration in range(1, 13)
+    ]
+    for seed, policy in result.policies.items():
+        saved = load_policy(directory / f"seed_{seed}" / "policy.npz")
+        np.testing.assert_array_equal(saved.weights, policy.weights)
+        distances = [float(r["expert_distance"]) for r in rows if r["seed"] == str(seed)]
+        assert result.kept_iterations[seed] == int(np.argmin(distances))
+    assert result.expert_return == 1.5
+
+
+def test_interrupted_and_resumed_is_bitwise_the_same(
+    finished: tuple[Path, run.Result], tmp_path: Path
+) -> None:
+    directory, result = finished
+
+    class KilledError(Exception):
+        pass
+
+    def kill(report: IterationReport) -> None:
+        if report.iteration == 10:  # one past the checkpoint: its row has to go again
+            raise KilledError
+
+    interrupted = tmp_path / "interrupted"
+    with pytest.raises(KilledError):
+        run.execute(make_plan(), interrupted, watch=kill)
+    resumed = run.execute(make_plan(), interrupted, resume=True)
+    assert (interrupted / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
+    for seed, policy in result.policies.items():
+        np.testing.assert_array_equal(resumed.policies[seed].weights, policy.weights)
+        np.testing.assert_array_equal(resumed.policies[seed].mean, policy.mean)
+    assert resumed.kept_iterations == result.kept_iterations
+
+
+def test_resuming_a_finished_run_changes_nothing(
+    finished: tuple[Path, run.Result], tmp_path: Path
+) -> None:
+    directory, result = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(directory, copy)
+    again = run.execute(make_plan(), copy, resume=True)
+    assert (copy / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
+    np.testing.assert_array_equal(again.policies[5].weights, result.policies[5].weights)
+
+
+def test_another_run_is_never_overwritten_or_continued(
+    finished: tuple[Path, run.Result], tmp_path: Path
+) -> None:
+    directory, _ = finished
+    with pytest.raises(UserError, match="not empty: add --resume"):
+        run.execute(make_plan(), directory)
+    changed = make_plan(assignments=ASSIGNMENTS | {"noise_std": "0.5"})
+    with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
+        run.execute(changed, directory, resume=True)
+    with pytest.raises(UserError, match="nothing to resume"):
+        run.execute(make_plan(), tmp_path / "nowhere", resume=True)
+
+
+def test_checkpoints_hold_random_keys_and_large_counts(tmp_path: Path) -> None:
+    state = {"key": jax.random.split(jax.random.key(3), 2), "steps": np.array([2**40 + 1])}
+    with Checkpoints(tmp_path / "checkpoints", save_every=1) as checkpoints:
+        assert checkpoints.restore(state) == (0, state)
+        checkpoints.save(4, state)
+    with Checkpoints(tmp_path / "checkpoints", save_every=1) as checkpoints:
+        like = {"key": jax.random.split(jax.random.key(0), 2), "steps": np.array([0])}
+        num_done, restored = checkpoints.restore(like)
+    assert num_done == 4
+    assert int(np.asarray(restored["steps"])[0]) == 2**40 + 1
+    np.testing.assert_array_equal(
+        jax.random.key_data(restored["key"]), jax.random.key_data(state["key"])
+    )
+
+
+def test_python_api_writes_nothing_unless_asked(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    settings = {name: int(value) for name, value in ASSIGNMENTS.items()} | {"num_iterations": 1}
+    seen: list[int] = []
+    result = run.train(
+        "swimmer",
+        swimmer_demonstrations(),
+        num_trajectories=3,
+        watch=lambda report: seen.append(report.iteration),
+        **settings,
+    )
+    assert seen == [0]
+    assert result.policies[0].env_id == "Swimmer-v5"
+    assert not list(tmp_path.iterdir())
+
+
+WRONG = {
+    "unknown environment 'hoper'": {"env": "hoper"},
+    "unknown preset 'best'": {"preset": "best"},
+    "unknown physics 'bullet'": {"physics": "bullet"},
+    "seeds are": {"seeds": (1, 1)},
+    "hold 3": {"num_trajectories": 4},
+    "are of Swimmer-v5, not of Hopper-v5": {"env": "hopper"},
+    "no such file": {"demonstrations": "missing.npz"},
+    "there is no setting 'learning_rate'": {"assignments": {"learning_rate": "1"}},
+    "noise_std is 'big': it must be a number": {"assignments": {"noise_std": "big"}},
+    "num_directions is '2.5': it must be a whole number": {
+        "assignments": {"num_directions": "2.5"}
+    },
+    "behavior_cloning_start is '1': it must be true or false": {
+        "assignments": {"behavior_cloning_start": "1"}
+    },
+    "num_top_directions is 9: it must be from 1 to num_directions": {
+        "assignments": {"num_directions": "8", "num_top_directions": "9"}
+    },
+    "noise_std is 0.0: it must be positive": {"assignments": {"noise_std": "0"}},
+    "step_size is nan: it must be finite": {"assignments": {"step_size": "nan"}},
+    "reward_reduction is 'max': it must be mean or sum": {
+        "assignments": {"reward_reduction": "max"}
+    },
+}
+
+
+@pytest.mark.parametrize(("message", "change"), WRONG.items())
+def test_mistakes_are_found_before_anything_runs(message: str, change: dict[str, Any]) -> None:
+    with pytest.raises(UserError) as caught:
+        make_plan(**change)
+    assert message in str(caught.value)
+
+
+def test_demonstrations_must_fit_the_task() -> None:
+    wide = swimmer_demonstrations().replace(observations=np.zeros((3, 10, 9), np.float32))
+    with pytest.raises(UserError, match="9 observations and 2 actions"):
+        make_plan(demonstrations=wide)

@@ -1,0 +1,237 @@
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ailsrs_jax.components import discriminator as adversary
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.trainers.ailsrs import (
+    Ailsrs,
+    AilsrsSettings,
+    discriminator_inputs,
+    distance_features,
+    make_ailsrs,
+)
+from ailsrs_jax.trainers.rollout import Rollout
+from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
+
+SMALL = AilsrsSettings(
+    num_iterations=3,
+    num_directions=4,
+    num_top_directions=2,
+    episode_length=EPISODE_LENGTH,
+    discriminator_batch_size=32,
+    memory_samples=64,
+    memory_iterations=2,
+    gradient_penalty=1.0,
+    num_distance_samples=100,
+)
+
+
+@pytest.fixture
+def trainer(point_mass: PointMass, point_mass_expert: Demonstrations) -> Ailsrs:
+    return make_ailsrs(point_mass, point_mass_expert, SMALL)
+
+
+def test_does_not_retrace_on_the_second_update(trainer: Ailsrs) -> None:
+    update = jax.jit(trainer.update)
+    state = jax.jit(trainer.init)(jax.random.key(0))
+    for _ in range(3):
+        state, _ = update(state)
+    assert update._cache_size() == 1
+
+
+def test_train_is_the_scan_of_update(trainer: Ailsrs) -> None:
+    final, metrics = jax.jit(trainer.train)(jax.random.key(0))
+    state = jax.jit(trainer.init)(jax.random.key(0))
+    update = jax.jit(trainer.update)
+    for iteration in range(SMALL.num_iterations):
+        state, now = update(state)
+        for name, value in now.items():
+            np.testing.assert_allclose(metrics[name][iteration], value, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(final.weights, state.weights, rtol=1e-4, atol=1e-6)
+    assert int(final.iteration) == SMALL.num_iterations
+
+
+def test_seeds_under_vmap_equal_separate_runs(trainer: Ailsrs) -> None:
+    seeds = jnp.array([0, 7])
+    together, metrics = jax.jit(jax.vmap(lambda s: trainer.train(jax.random.key(s))))(seeds)
+    for index, seed in enumerate(seeds):
+        alone, alone_metrics = jax.jit(trainer.train)(jax.random.key(seed))
+        np.testing.assert_allclose(together.weights[index], alone.weights, rtol=1e-4, atol=1e-6)
+        for name, values in alone_metrics.items():
+            np.testing.assert_allclose(metrics[name][index], values, rtol=1e-3, atol=1e-4)
+
+
+def test_settings_may_be_traced(
+    point_mass: PointMass, point_mass_expert: Demonstrations, trainer: Ailsrs
+) -> None:
+    def final_weights(step_size: jax.Array) -> jax.Array:
+        settings = dataclasses.replace(SMALL, step_size=step_size, final_step_size=step_size)
+        return (
+            make_ailsrs(point_mass, point_mass_expert, settings).train(jax.random.key(0))[0].weights
+        )
+
+    swept = jax.jit(jax.vmap(final_weights))(jnp.array([0.02, 0.2]))
+    np.testing.assert_allclose(
+        swept[0], jax.jit(trainer.train)(jax.random.key(0))[0].weights, rtol=1e-4, atol=1e-6
+    )
+    assert float(jnp.abs(swept[1]).sum()) > 2 * float(jnp.abs(swept[0]).sum())
+
+
+def test_the_paper_starts_from_nothing(trainer: Ailsrs) -> None:
+    state = trainer.init(jax.random.key(0))
+    assert not state.weights.any()
+    np.testing.assert_array_equal(state.statistics.mean, [0.0, 0.0])
+    np.testing.assert_array_equal(state.statistics.std, [1.0, 1.0])
+
+
+def test_behavior_cloning_start_is_the_expert_where_the_expert_is_linear(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    settings = dataclasses.replace(SMALL, behavior_cloning_start=True)
+    trainer = make_ailsrs(point_mass, point_mass_expert, settings)
+    state = trainer.init(jax.random.key(0))
+    seen = point_mass_expert.observations[point_mass_expert.alive]
+    np.testing.assert_allclose(state.statistics.mean, seen.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(state.weights / state.statistics.std, EXPERT_WEIGHTS, atol=0.1)
+
+
+def test_statistics_run_or_stay_the_experts(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    for choice, moves in (("running", True), ("expert", False)):
+        settings = dataclasses.replace(SMALL, standardize_with=choice)
+        trainer = make_ailsrs(point_mass, point_mass_expert, settings)
+        state = trainer.init(jax.random.key(0))
+        after, _ = trainer.update(state)
+        assert (float(after.statistics.count) > float(state.statistics.count)) == moves
+
+
+@pytest.mark.parametrize("reduction", ["mean", "sum"])
+def test_reward_of_a_rollout_in_closed_form(
+    reduction: str, point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    """With any parameters: softplus of the logits, over live steps only, in slices or not."""
+    settings = dataclasses.replace(SMALL, reward_reduction=reduction)
+    trainer = make_ailsrs(point_mass, point_mass_expert, settings)
+    parameters = trainer.init(jax.random.key(1)).discriminator
+    lengths = np.array([1, 49, 50, 51, 120])
+    observations = np.random.default_rng(0).normal(size=(120, 5, 2)).astype(np.float32)
+    actions = np.random.default_rng(1).normal(size=(120, 5, 1)).astype(np.float32)
+    episodes = Rollout(*map(jnp.asarray, (observations, actions, actions[..., 0], lengths)))
+    returns = trainer._imitation_returns(parameters, episodes)
+    logit = functools.partial(trainer.network.apply, parameters)
+    for index, length in enumerate(lengths):
+        inputs = discriminator_inputs(
+            trainer.expert.statistics, observations[:length, index], actions[:length, index]
+        )
+        rewards = -np.log1p(-jax.nn.sigmoid(logit(inputs)))
+        expected = rewards.mean() if reduction == "mean" else rewards.sum()
+        np.testing.assert_allclose(returns[index], expected, rtol=1e-4)
+
+
+def test_the_discriminator_learns_to_tell_them_apart(trainer: Ailsrs) -> None:
+    settings = dataclasses.replace(SMALL, discriminator_steps=300, gradient_penalty=0.0)
+    trainer = dataclasses.replace(trainer, settings=settings)
+    state = trainer.init(jax.random.key(0))
+    _, metrics = jax.jit(trainer.update)(state)
+    assert float(metrics["expert_score"]) > float(metrics["policy_score"]) + 0.1
+    assert float(metrics["discriminator_loss"]) < 0.25  # that of a coin
+
+
+def test_step_size_decays_linearly(trainer: Ailsrs) -> None:
+    settings = dataclasses.replace(SMALL, num_iterations=11, step_size=0.3, final_step_size=0.1)
+    trainer = dataclasses.replace(trainer, settings=settings)
+    sizes = [float(trainer._step_size(jnp.array(i))) for i in (0, 5, 10)]
+    np.testing.assert_allclose(sizes, [0.3, 0.2, 0.1], rtol=1e-6)
+
+
+def test_distance_sees_the_length_of_episodes() -> None:
+    inputs = jax.random.normal(jax.random.key(0), (6, EPISODE_LENGTH, 3))
+    lengths = jnp.full(6, 20)
+    features = distance_features(jax.random.key(1), inputs, lengths, SMALL)
+    absorbed = features[:, -1] > 0
+    np.testing.assert_allclose(absorbed.mean(), 1 - 20 / EPISODE_LENGTH, atol=0.15)
+    assert not features[absorbed, :-1].any()
+    assert features[~absorbed, :-1].any(axis=1).all()
+
+
+def test_an_expert_is_kept_and_a_worse_policy_is_not(trainer: Ailsrs) -> None:
+    trainer = dataclasses.replace(
+        trainer, settings=dataclasses.replace(SMALL, standardize_with="expert")
+    )
+    update, state = jax.jit(trainer.update), trainer.init(jax.random.key(0))
+    expert_weights = EXPERT_WEIGHTS * state.statistics.std
+    distances = []
+    for weights in (0.0 * expert_weights, expert_weights, -expert_weights):
+        state, metrics = update(state.replace(weights=weights))
+        distances.append(float(metrics["expert_distance"]))
+    assert min(distances) == distances[1] < 0.5 * min(distances[0], distances[2])
+    np.testing.assert_array_equal(state.kept.policy.weights, expert_weights)
+
+
+def test_learns_the_point_mass_from_nothing(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    settings = dataclasses.replace(
+        SMALL,
+        num_iterations=150,
+        num_directions=16,
+        num_top_directions=8,
+        step_size=0.1,
+        final_step_size=0.02,
+        noise_std=0.1,
+        discriminator_learning_rate=1e-3,
+        discriminator_batch_size=256,
+        memory_samples=1000,
+        memory_iterations=5,
+        num_distance_samples=500,
+    )
+    trainer = make_ailsrs(point_mass, point_mass_expert, settings)
+    state, metrics = jax.jit(trainer.train)(jax.random.key(0))
+    expert_return = point_mass_expert.returns.mean()
+    kept_return = float(metrics["evaluation_return"][int(state.kept.iteration)])
+    assert float(metrics["evaluation_return"][0]) < 2 * expert_return  # far below: it is negative
+    assert kept_return > 1.3 * expert_return
+
+
+def mjx_trainer() -> Ailsrs:
+    """The default shape of a tuned run, on the engine that makes it one XLA program."""
+    env = make_env("hopper", "mjx")
+    rng = np.random.default_rng(0)
+    demonstrations = Demonstrations(
+        observations=rng.normal(size=(2, 1000, 11)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (2, 1000, 3)).astype(np.float32),
+        lengths=np.array([1000, 500]),
+        returns=np.zeros(2, np.float32),
+        env_id="Hopper-v5",
+    )
+    settings = AilsrsSettings(num_directions=32, num_top_directions=16, gradient_penalty=1.0)
+    return make_ailsrs(env, demonstrations, settings)
+
+
+@pytest.mark.parametrize("platform", ["cuda", "tpu"])
+def test_with_mjx_it_is_one_program_for_an_accelerator(platform: str) -> None:
+    trainer = mjx_trainer()
+    seeds = jax.ShapeDtypeStruct((2,), jnp.int32)
+    state = jax.eval_shape(
+        lambda seeds: jax.vmap(trainer.init)(jax.vmap(jax.random.key)(seeds)), seeds
+    )
+    exported = jax.export.export(jax.jit(jax.vmap(trainer.update)), platforms=[platform])(state)
+    program = exported.mlir_module()
+    assert exported.platforms == (platform,)
+    assert len(program) > 100_000
+    assert "callback" not in program
+
+
+def test_reward_convention_is_the_discriminators() -> None:
+    """What the discriminator is trained to call the expert is what pays."""
+    assert adversary.EXPERT_LABEL > adversary.POLICY_LABEL
+    assert float(adversary.imitation_reward(jnp.array(3.0))) > float(
+        adversary.imitation_reward(jnp.array(-3.0))
+    )

@@ -1,0 +1,234 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ailsrs_jax.cli import main
+from ailsrs_jax.data.demonstrations import load_demonstrations
+from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
+from ailsrs_jax.plotting import plot_training_curve
+from ailsrs_jax.runs.evaluation import evaluate
+
+TINY = [
+    "num_directions=2",
+    "num_top_directions=1",
+    "episode_length=10",
+    "discriminator_batch_size=16",
+    "memory_samples=16",
+    "num_distance_samples=50",
+]
+
+
+def ailsrs(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["ailsrs", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+
+
+def broken_file(kind: str) -> Path:
+    path = Path(f"{kind}.npz")
+    arrays = {
+        "observations": np.zeros((2, 5, 11)),
+        "actions": np.zeros((2, 5, 3)),
+        "lengths": np.array([5, 5]),
+        "returns": np.zeros(2),
+        "env_id": np.array("Hopper-v5"),
+    }
+    if kind == "shapes":
+        arrays["actions"] = np.zeros((2, 5, 4))
+    elif kind == "nan":
+        arrays["observations"][1, 1, 1] = np.nan
+    elif kind == "pickled":
+        arrays["observations"] = np.array([[[object()]]])
+    elif kind == "other_task":
+        arrays["env_id"] = np.array("Walker2d-v5")
+    if kind == "text":
+        path.write_text("observations, actions\n")
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind != "missing":
+        np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind", ["missing", "text", "empty", "shapes", "nan", "pickled", "other_task"]
+)
+def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
+    path = broken_file(kind)
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, "train", "hopper", "--demonstrations", path, "--num-trajectories", 2)
+    one_line_and_nothing_written(code, capsys, before)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "train hoper",
+        "train hopper --preset tuned --set noise=1",
+        "train hopper --set noise_std",
+        "train hopper --iterations 0",
+        "train hopper --seeds 1 1",
+        "train hopper --num-trajectories 0",
+        "train hopper --resume",
+        "train hopper --resume --output nowhere",
+        "train hopper --output /proc/run",
+        "train hopper --output file/inside",
+        "evaluate missing.npz",
+        "evaluate .",
+        "evaluate file",
+        "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
+        "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
+        "demonstrate hoper --output demonstrations.npz",
+        "expert hoper --output expert.npz",
+        "expert hopper --output file/expert.npz",
+        "expert hopper --set num_top_directions=1000 --output expert.npz",
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(arguments: str, monkeypatch, capsys) -> None:
+    Path("file").write_text("in the way")
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, *arguments.split())
+    one_line_and_nothing_written(code, capsys, before)
+
+
+def one_line_and_nothing_written(code: int, capsys, before: list[Path]) -> None:
+    errors = capsys.readouterr().err
+    assert code == 2, errors
+    assert errors.startswith("ailsrs: ")
+    assert len(errors.splitlines()) == 1
+    assert sorted(Path().iterdir()) == before
+
+
+def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
+    arguments = ["swimmer", "--iterations", 2, "--seeds", 0, 3, "--output", "run", "--set", *TINY]
+    assert ailsrs(monkeypatch, "train", *arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Swimmer-v5 · 10 demonstrations of the expert that ships with the package" in printed
+    assert "2/2" in printed
+    assert "expert" in printed.splitlines()[-2]
+    assert sorted(path.name for path in Path("run").iterdir()) == [
+        "checkpoints",
+        "config.json",
+        "metrics.csv",
+        "seed_0",
+        "seed_3",
+        "training_curve.png",
+    ]
+    assert Path("run/training_curve.png").read_bytes().startswith(b"\x89PNG")
+
+    # The real Gymnasium environment, driven by the exported policy in NumPy.
+    assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", 2, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["policy"] for row in rows] == ["run/seed_0/policy.npz", "run/seed_3/policy.npz"]
+    expected = evaluate(load_policy("run/seed_3/policy.npz"), 2, "gymnasium")
+    assert rows[1]["return_mean"] == expected.mean
+    assert rows[1]["physics"] == "gymnasium"
+
+    assert ailsrs(monkeypatch, "train", *arguments) == 2
+    assert "add --resume" in capsys.readouterr().err
+    assert ailsrs(monkeypatch, "train", *arguments, "--resume") == 0
+
+
+def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
+    settings = ["num_directions=2", "num_top_directions=1", "episode_length=10"]
+    arguments = ["--iterations", 2, "--set", *settings, "--output", "expert.npz"]
+    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments) == 0
+    assert load_policy("expert.npz").env_id == "Swimmer-v5"
+    arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "own.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    assert "2 trajectories of Swimmer-v5, return" in capsys.readouterr().out
+    demonstrations = load_demonstrations("own.npz")
+    assert demonstrations.observations.shape == (2, 1000, 8)
+    arguments = ["--expert", "expert.npz", "--output", "other.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
+
+
+def test_the_cache_of_demonstrations_is_used_and_done_without(monkeypatch, tmp_path) -> None:
+    from ailsrs_jax.runs import demonstrate
+
+    first = demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco")
+    (cached,) = (tmp_path / "cache").rglob("*.npz")
+    written = cached.stat().st_mtime_ns
+    again = demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco")
+    np.testing.assert_array_equal(first.observations, again.observations)
+    assert cached.stat().st_mtime_ns == written
+    cached.write_bytes(b"damaged")
+    np.testing.assert_array_equal(
+        demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco").actions, first.actions
+    )
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/no")
+    np.testing.assert_array_equal(
+        demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco").actions, first.actions
+    )
+
+
+def test_fewer_demonstrations_are_the_first_of_more() -> None:
+    from ailsrs_jax.runs.demonstrate import demonstrate
+
+    expert = load_policy(expert_path("Swimmer-v5"))
+    few, more = (demonstrate(expert, number, physics="mujoco") for number in (2, 5))
+    np.testing.assert_array_equal(few.observations, more.observations[:2])
+
+
+@pytest.mark.parametrize("physics", ["mujoco", "gymnasium"])
+def test_a_policy_must_fit_where_it_is_evaluated(physics: str, monkeypatch, capsys) -> None:
+    ones = np.ones(2)
+    SavedPolicy(np.ones((2, 5)), np.zeros(5), np.ones(5), -ones, ones, "Swimmer-v5").save(
+        Path("policy.npz")
+    )
+    assert ailsrs(monkeypatch, "evaluate", "policy.npz", "--physics", physics) == 2
+    assert "weights are (2, 5): Swimmer-v5 needs (2, 8)" in capsys.readouterr().err
+
+
+def test_our_task_and_gymnasium_agree_on_an_expert() -> None:
+    expert = load_policy(expert_path("Swimmer-v5"))
+    ours, theirs = (evaluate(expert, 20, physics) for physics in ("mujoco", "gymnasium"))
+    assert ours.mean == pytest.approx(theirs.mean, abs=3.0)
+
+
+def test_help_starts_no_backend_and_is_quick_to_import() -> None:
+    program = (
+        "import sys, ailsrs_jax, ailsrs_jax.cli; "
+        "assert not {'jax', 'mujoco', 'brax'} & set(sys.modules), sorted(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+    help_text = subprocess.run(
+        [sys.executable, "-m", "ailsrs_jax", "train", "--help"],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"COLUMNS": "100"},
+    ).stdout
+    assert "ailsrs train hopper --num-trajectories 10" in help_text
+
+
+def test_public_names_resolve() -> None:
+    import ailsrs_jax
+
+    for name in ailsrs_jax.__all__:
+        assert getattr(ailsrs_jax, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = ailsrs_jax.nothing
+
+
+def test_a_curve_needs_metrics(tmp_path: Path) -> None:
+    from ailsrs_jax.errors import UserError
+
+    with pytest.raises(UserError, match="cannot read"):
+        plot_training_curve(tmp_path, "title", 1.0, {0: 0})

@@ -3,8 +3,6 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ailsrs_jax.versions import require_supported
-
 if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
@@ -39,8 +37,6 @@ _HOMES = {
 }
 
 __all__ = sorted(_HOMES)
-
-require_supported()
 
 
 def __getattr__(name: str) -> Any:

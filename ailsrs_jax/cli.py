@@ -8,19 +8,24 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.versions import VersionError
 
 EnvName = Annotated[str, arg(metavar="ENV", help="hopper, walker2d, halfcheetah or swimmer")]
-Physics = Literal["auto", "mjx", "mujoco"]
-Settings = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE")]
+PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
+# Both "--set a=1 b=2" and "--set a=1 --set b=2".
+Settings = Annotated[
+    UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="NAME=VALUE")
+]
+Seeds = UseAppendAction[tuple[tuple[int, ...], ...]]
 
 app = tyro.extras.SubcommandApp()
 console = Console()
@@ -30,12 +35,12 @@ console = Console()
 def train(
     env: Positional[EnvName],
     demonstrations: Path | None = None,
-    num_trajectories: int = 10,
-    seeds: tuple[int, ...] = (0,),
+    num_trajectories: int | None = None,
+    seeds: Seeds = (),
     iterations: int | None = None,
-    preset: Literal["tuned", "paper"] = "tuned",
+    preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
     settings: Settings = (),
-    physics: Physics = "auto",
+    physics: PhysicsName = "auto",
     output: Path | None = None,
     resume: bool = False,
 ) -> None:
@@ -46,8 +51,8 @@ def train(
     Args:
         env: The task.
         demonstrations: A demonstration file; without it, the expert that ships with the package.
-        num_trajectories: Use the first so many trajectories.
-        seeds: Random seeds, trained together as one batched program.
+        num_trajectories: Use the first so many; by default 10 of the shipped expert, else all.
+        seeds: Random seeds, trained together as one batched program; by default 0.
         iterations: How many iterations to run, instead of the preset's.
         preset: Settings found to work on the task, or the paper's Table I.
         settings: Settings to change; a wrong name lists them all.
@@ -60,17 +65,18 @@ def train(
     from ailsrs_jax.runs import run
     from ailsrs_jax.runs.evaluation import evaluate
 
-    assignments = dict(_assignment(text) for text in settings)
-    if iterations is not None:
-        assignments["num_iterations"] = str(iterations)
-    plan = run.make_plan(env, demonstrations, num_trajectories, seeds, preset, physics, assignments)
+    assignments = _assignments(settings, iterations)
+    chosen = [seed for group in seeds for seed in group] or [0]
+    plan = run.make_plan(
+        env, demonstrations, num_trajectories, chosen, preset, physics, assignments
+    )
     config = plan.config
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to go on with")
     output = output or Path("runs") / f"{env}-{time.strftime('%Y%m%d-%H%M%S')}"
     console.print(
         f"[bold]{config.env_id}[/] · {config.num_trajectories} demonstrations "
-        f"{escape(config.demonstrations)} · preset {preset} · seeds {_join(seeds)}\n"
+        f"{escape(config.demonstrations)} · preset {preset} · seeds {' '.join(map(str, chosen))}\n"
         f"physics {config.physics} ({plan.physics_reason}) · {escape(str(output))}",
         highlight=False,
         soft_wrap=True,
@@ -89,11 +95,12 @@ def train(
         final = evaluate(policy, physics=config.physics)
         kept = str(result.kept_iterations[seed])
         table.add_row(str(seed), kept, f"{final.mean:.0f} ± {final.std:.0f}")
-    table.add_row("expert", "", f"{result.expert_return:.0f}", style="dim")
+    expert = result.expert_returns
+    table.add_row("expert", "", f"{expert.mean():.0f} ± {expert.std():.0f}", style="dim")
     console.print(table)
     title = f"AILSRS on {config.env_id} from {config.num_trajectories} demonstrations"
     try:
-        plot_training_curve(output, title, result.expert_return, result.kept_iterations)
+        plot_training_curve(output, title, float(expert.mean()), result.kept_iterations)
     except ImportError:
         console.print("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
     console.print(f"policies, metrics and training curve are in {escape(str(output))}")
@@ -103,7 +110,7 @@ def train(
 def evaluate(
     policy: Positional[Path],
     episodes: int = 100,
-    physics: Literal["gymnasium", "auto", "mjx", "mujoco"] = "gymnasium",
+    physics: Annotated[str, arg(metavar="gymnasium|auto|mjx|mujoco")] = "gymnasium",
     seed: int = 0,
     as_json: Annotated[bool, arg(name="json")] = False,
 ) -> None:
@@ -119,9 +126,10 @@ def evaluate(
         as_json: Print JSON.
     """
     from ailsrs_jax.data.policies import load_policy
+    from ailsrs_jax.envs.physics import choose_engine
     from ailsrs_jax.runs import evaluation
 
-    paths = sorted(policy.glob("seed_*/policy.npz")) if policy.is_dir() else [policy]
+    paths = [policy] if policy.suffix == ".npz" else sorted(policy.glob("seed_*/policy.npz"))
     if not paths:
         raise UserError(f"{policy} holds no seed_*/policy.npz: is it a finished run?")
     rows: list[dict[str, Any]] = []
@@ -132,7 +140,7 @@ def evaluate(
             {
                 "policy": str(path),
                 "env_id": loaded.env_id,
-                "physics": physics,
+                "physics": physics if physics == "gymnasium" else choose_engine(physics)[0],
                 "episodes": episodes,
                 "return_mean": result.mean,
                 "return_std": result.std,
@@ -155,7 +163,7 @@ def demonstrate(
     output: Path,
     num_trajectories: int = 40,
     expert: Path | None = None,
-    physics: Physics = "auto",
+    physics: PhysicsName = "auto",
     seed: int = 0,
 ) -> None:
     """Roll out an expert and write a demonstration file.
@@ -195,7 +203,7 @@ def expert(
     output: Path,
     iterations: int | None = None,
     settings: Settings = (),
-    physics: Physics = "auto",
+    physics: PhysicsName = "auto",
     seed: int = 0,
 ) -> None:
     """Train an expert on the environment's reward, by augmented random search.
@@ -214,9 +222,7 @@ def expert(
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.runs.expert import train_expert
 
-    assignments = dict(_assignment(text) for text in settings)
-    if iterations is not None:
-        assignments["num_iterations"] = str(iterations)
+    assignments = _assignments(settings, iterations)
     with RunProgress(console) as progress:
         policy = train_expert(env, seed, physics, assignments, output, watch=progress)
     final = evaluate(policy, physics=physics)
@@ -226,21 +232,23 @@ def expert(
     )
 
 
-def _assignment(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise UserError(f"--set {text}: write NAME=VALUE")
-    return name.replace("-", "_"), value
-
-
-def _join(values: tuple[int, ...]) -> str:
-    return " ".join(map(str, values))
+def _assignments(groups: tuple[tuple[str, ...], ...], iterations: int | None) -> dict[str, str]:
+    assignments = {} if iterations is None else {"num_iterations": str(iterations)}
+    for text in (text for group in groups for text in group):
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UserError(f"--set {text}: write NAME=VALUE")
+        assignments[name.replace("-", "_")] = value
+    return assignments
 
 
 def main() -> None:
     """Run the command line; a user's mistake is one line on standard error and exit code 2."""
     try:
         app.cli(prog="ailsrs", description=__doc__.splitlines()[0])
-    except UserError as error:
+    except KeyboardInterrupt:
+        print("ailsrs: interrupted", file=sys.stderr)
+        sys.exit(130)
+    except (UserError, VersionError) as error:
         print(f"ailsrs: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

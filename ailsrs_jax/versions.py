@@ -7,13 +7,17 @@ from importlib.metadata import version
 SUPPORTED_JAX = ("0.9.",)
 
 
+class VersionError(ImportError):
+    """A dependency is of a version that does not work; the message says what to install."""
+
+
 def require_supported() -> None:
-    """Raise ImportError unless JAX is in the tested range and MuJoCo and MJX match."""
+    """Raise VersionError unless JAX is in the tested range and MuJoCo and MJX match."""
     jax, mujoco, mjx = version("jax"), version("mujoco"), version("mujoco-mjx")
     if not jax.startswith(SUPPORTED_JAX):
-        raise ImportError(f"ailsrs_jax is not tested with jax {jax}: pip install 'jax>=0.9,<0.10'")
+        raise VersionError(f"ailsrs_jax is not tested with jax {jax}: pip install 'jax>=0.9,<0.10'")
     if mujoco != mjx:
-        raise ImportError(
+        raise VersionError(
             f"mujoco {mujoco} and mujoco-mjx {mjx} must be the same version: "
             f"pip install mujoco=={mjx}"
         )

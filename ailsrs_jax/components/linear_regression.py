@@ -15,10 +15,10 @@ def ridge_regression(
         mask: ``(...)`` bool, which samples count.
         penalty: keeps the solution defined when inputs are collinear or few.
     """
-    weight = mask.reshape(-1, 1).astype(inputs.dtype)
-    x = inputs.reshape(-1, inputs.shape[-1]) * weight
-    y = targets.reshape(-1, targets.shape[-1]) * weight
-    count = jnp.maximum(weight.sum(), 1.0)
+    mask = mask.reshape(-1, 1)
+    x = jnp.where(mask, inputs.reshape(-1, inputs.shape[-1]), 0.0)
+    y = jnp.where(mask, targets.reshape(-1, targets.shape[-1]), 0.0)
+    count = jnp.maximum(mask.sum(), 1)
     gram = jnp.matmul(x.T, x, precision="highest") / count
     moments = jnp.matmul(x.T, y, precision="highest") / count
     return jnp.linalg.solve(gram + penalty * jnp.eye(x.shape[-1]), moments).T

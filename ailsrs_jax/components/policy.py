@@ -19,7 +19,9 @@ class LinearPolicy(struct.PyTreeNode):
 
     def __call__(self, observation: jax.Array) -> jax.Array:
         """The action ``(p,)``, within the actuators' range, for one observation ``(n,)``."""
-        action = self.weights @ ((observation - self.mean) / self.std)
+        # Not in TF32, so that the policy is the one that NumPy computes from the exported file.
+        standardized = (observation - self.mean) / self.std
+        action = jnp.matmul(self.weights, standardized, precision="highest")
         return jnp.clip(action, self.action_low, self.action_high)
 
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":

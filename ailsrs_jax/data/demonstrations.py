@@ -1,5 +1,6 @@
 """Demonstrations: what they are in memory, and their file."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,11 @@ FIELDS = ("observations", "actions", "lengths", "returns", "env_id")
 
 
 class Demonstrations(struct.PyTreeNode):
-    """E expert episodes of at most T steps; entries after an episode's end mean nothing."""
+    """E expert episodes, recorded with a time limit of T steps.
+
+    A length below T means that the episode ended in a terminal state; entries after an episode's
+    end mean nothing.
+    """
 
     observations: jax.Array | np.ndarray  # (E, T, n) float32
     actions: jax.Array | np.ndarray  # (E, T, p) float32, as applied
@@ -58,14 +63,21 @@ def load_demonstrations(path: str | Path) -> Demonstrations:
     Raises:
         UserError: the file is missing, is not such a file, or its contents contradict one another.
     """
-    path = Path(path)
-    arrays = read_npz(path, FIELDS, "demonstrations")
-    observations, actions, lengths, returns = (arrays[name] for name in FIELDS[:4])
+    return validated(read_npz(Path(path), FIELDS, "demonstrations"), str(path))
+
+
+def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
+    """Make demonstrations of ``fields``, checked, and zero after the end of each episode.
+
+    Raises:
+        UserError: they contradict one another; the message begins with ``source``.
+    """
 
     def require(condition: bool, problem: str) -> None:
         if not condition:
-            raise UserError(f"{path}: {problem}")
+            raise UserError(f"{source}: {problem}")
 
+    observations, actions, lengths, returns, env_id = (np.asarray(fields[name]) for name in FIELDS)
     require(observations.ndim == 3, f"observations are {observations.shape}, not (E, T, n)")
     require(actions.ndim == 3, f"actions are {actions.shape}, not (E, T, p)")
     num_episodes, num_steps = observations.shape[:2]
@@ -81,21 +93,16 @@ def load_demonstrations(path: str | Path) -> Demonstrations:
         bool(np.all((lengths >= 1) & (lengths <= num_steps))),
         f"lengths are not all between 1 and {num_steps}",
     )
-    alive = np.arange(num_steps) < lengths[:, None]
-    for name, array in (("observations", observations), ("actions", actions)):
-        require(np.issubdtype(array.dtype, np.floating), f"{name} are not floating-point numbers")
-        require(bool(np.isfinite(array[alive]).all()), f"{name} hold NaN or infinity")
-    require(np.issubdtype(returns.dtype, np.number), "returns are not numbers")
-    env_id = arrays["env_id"]
     require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
-
-    def clean(array: np.ndarray) -> np.ndarray:
-        return np.where(alive[..., None], array, 0.0).astype(np.float32)
-
-    return Demonstrations(
-        observations=clean(observations),
-        actions=clean(actions),
-        lengths=lengths.astype(np.int32),
-        returns=returns.astype(np.float32),
-        env_id=str(env_id),
-    )
+    require(returns.dtype.kind in "iuf", "returns are not numbers")
+    alive = (np.arange(num_steps) < lengths[:, None])[..., None]
+    for name, array in (("observations", observations), ("actions", actions)):
+        require(array.dtype.kind == "f", f"{name} are not floating-point numbers")
+    with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused
+        observations, actions = (
+            np.where(alive, array, 0.0).astype(np.float32) for array in (observations, actions)
+        )
+        returns = returns.astype(np.float32)
+    for name, array in zip(FIELDS, (observations, actions, lengths, returns), strict=False):
+        require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
+    return Demonstrations(observations, actions, lengths.astype(np.int32), returns, str(env_id))

@@ -11,12 +11,13 @@ import numpy as np
 from ailsrs_jax.errors import UserError
 
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
     """Call ``write`` with a temporary file beside ``path``, then rename it to ``path``.
 
     Raises:
         UserError: the place cannot be written to.
     """
+    path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
@@ -37,9 +38,13 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 def require_writable(path: Path) -> None:
     """Raise UserError unless a file can be written at ``path``: for asking before a long run."""
     folder = path.parent
-    while not folder.exists():
-        folder = folder.parent
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+    try:
+        while not folder.exists():
+            folder = folder.parent
+        writable = not path.is_dir() and folder.is_dir() and os.access(folder, os.W_OK)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from error
+    if not writable:
         raise UserError(f"cannot write {path}")
 
 

@@ -36,7 +36,7 @@ class SavedPolicy:
                 f"{(action_size, observation_size)}"
             )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write a ``.npz`` file, whole or not at all."""
         fields = dataclasses.asdict(self)
         write_atomically(path, lambda file: np.savez(file, **fields))

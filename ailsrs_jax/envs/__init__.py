@@ -3,6 +3,10 @@
 import contextlib
 import io
 
+from ailsrs_jax.versions import require_supported
+
+require_supported()
+
 # MJX, which Brax imports, prints a line for each optional backend that is missing.
 with contextlib.redirect_stdout(io.StringIO()):
     from brax.envs.base import Env as Env

@@ -37,13 +37,16 @@ class Checkpoints:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._manager.wait_until_finished()
-        self._manager.close()
+        self._manager.close()  # waits for what is being written
 
     def save(self, num_done: int, state: Any, *, force: bool = False) -> None:
         """Save the state after ``num_done`` iterations, if it is time or by ``force``."""
-        if num_done not in self._manager.all_steps():
+        if num_done in self._manager.all_steps():
+            return
+        try:
             self._manager.save(num_done, args=ocp.args.StandardSave(_pack(state)), force=force)
+        except OSError as error:
+            raise UserError(f"cannot write {self._manager.directory}: {error.strerror}") from error
 
     def restore(self, like: Any) -> tuple[int, Any]:
         """The newest checkpoint: iterations done and the state, shaped ``like`` this one.
@@ -54,7 +57,13 @@ class Checkpoints:
         if num_done is None:
             return 0, like
         abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, _pack(like))
-        restored = self._manager.restore(num_done, args=ocp.args.StandardRestore(abstract))
+        try:
+            restored = self._manager.restore(num_done, args=ocp.args.StandardRestore(abstract))
+        except (OSError, ValueError) as error:
+            raise UserError(
+                f"cannot read checkpoint {num_done} in {self._manager.directory}: it is damaged; "
+                "delete it to go on from the one before"
+            ) from error
         return num_done, _unpack(restored, like)
 
 

@@ -44,6 +44,7 @@ class RunConfig:
         except (OSError, ValueError) as error:
             raise UserError(f"nothing to resume: cannot read {path}") from error
         mine, saved = _flatten(self._as_json()), _flatten(saved)
+        del mine["demonstrations"]  # their content counts, not the name of their file
         differences = [
             f"{name} is {mine[name]}, was {saved.get(name, 'not set')}"
             for name in mine
@@ -55,6 +56,12 @@ class RunConfig:
     def _as_json(self) -> dict[str, Any]:
         fields: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
         return fields
+
+
+def require_seed(seed: int) -> None:
+    """Raise UserError unless ``seed`` is one that every random number generator here takes."""
+    if not 0 <= seed < 2**31:
+        raise UserError(f"seed is {seed}: it must be from 0 to {2**31 - 1}")
 
 
 def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:

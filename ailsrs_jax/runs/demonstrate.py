@@ -1,41 +1,60 @@
 """Demonstrations made by rolling out an expert, and kept for the next run."""
 
 import contextlib
+import functools
 import hashlib
+import importlib.metadata
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.config import VERSIONED_PACKAGES, require_seed
 from ailsrs_jax.trainers.rollout import Rollout, rollout
 
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 
 def simulate(
-    policy: SavedPolicy, env: MujocoTask, num_episodes: int, seed: int, episode_length: int
+    policy: SavedPolicy,
+    engine: str,
+    num_episodes: int,
+    key: jax.Array,
+    episode_length: int = EPISODE_LENGTH,
 ) -> Rollout:
-    """Roll out ``policy`` in ``env``; episode ``i`` does not depend on how many there are."""
+    """Roll out ``policy`` in its task; episode ``i`` does not depend on how many there are.
+
+    Raises:
+        UserError: the policy does not fit its task.
+    """
+    env, compiled_rollout = _simulator(policy.env_id, engine, episode_length)
     policy.require_shape(env.action_size, env.observation_size)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(num_episodes))
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(num_episodes))
     linear = LinearPolicy(
         *map(jnp.float32, (policy.weights, policy.mean, policy.std)),
         *map(jnp.float32, (policy.action_low, policy.action_high)),
     )
     policies = linear.with_weights(jnp.tile(linear.weights, (num_episodes, 1, 1)))
-    simulated: Rollout = jax.jit(rollout, static_argnums=(0, 3))(
-        env, policies, keys, episode_length
-    )
-    return simulated
+    return compiled_rollout(policies, keys)
+
+
+@functools.lru_cache(maxsize=4)
+def _simulator(
+    env_id: str, engine: str, episode_length: int
+) -> tuple[MujocoTask, Callable[[LinearPolicy, jax.Array], Rollout]]:
+    """The task and its rollout, compiled once for all the policies of a run."""
+    env = make_env(env_id, engine)
+    return env, jax.jit(lambda policies, keys: rollout(env, policies, keys, episode_length))
 
 
 def demonstrate(
@@ -46,11 +65,16 @@ def demonstrate(
     seed: int = 0,
     episode_length: int = EPISODE_LENGTH,
 ) -> Demonstrations:
-    """Roll out ``num_trajectories`` episodes of ``policy`` in its environment."""
+    """Roll out ``num_trajectories`` episodes of ``policy`` in its environment.
+
+    Raises:
+        UserError: no trajectories, unknown physics, a bad seed, or a policy that does not fit.
+    """
     if num_trajectories < 1:
         raise UserError(f"{num_trajectories} trajectories asked for: at least one is needed")
-    env = make_env(policy.env_id, physics)
-    episodes = simulate(policy, env, num_trajectories, seed, episode_length)
+    require_seed(seed)
+    engine, _ = choose_engine(physics)
+    episodes = simulate(policy, engine, num_trajectories, jax.random.key(seed), episode_length)
     return Demonstrations(
         observations=np.asarray(episodes.observations).swapaxes(0, 1),
         actions=np.asarray(episodes.actions).swapaxes(0, 1),
@@ -67,9 +91,10 @@ def expert_demonstrations(env_id: str, num_trajectories: int, physics: str) -> D
     done without.
     """
     path = expert_path(env_id)
-    engine = make_env(env_id, physics).backend
-    content = f"{num_trajectories} {engine} {mujoco.__version__}".encode() + path.read_bytes()
-    name = f"{env_id}-{hashlib.sha256(content).hexdigest()[:16]}.npz"
+    engine, _ = choose_engine(physics)
+    versions = {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}
+    content = f"{num_trajectories} {engine} {jax.default_backend()} {versions}".encode()
+    name = f"{env_id}-{hashlib.sha256(content + path.read_bytes()).hexdigest()[:16]}.npz"
     cached = cache_directory() / "demonstrations" / name
     try:
         return load_demonstrations(cached)

@@ -3,13 +3,18 @@
 import dataclasses
 
 import gymnasium
+import jax
 import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs.mujoco_task import without_warnings
-from ailsrs_jax.envs.registry import make_env, resolve_env_id
+from ailsrs_jax.envs.physics import choose_engine
+from ailsrs_jax.envs.registry import resolve_env_id
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
+from ailsrs_jax.runs.config import require_seed
+from ailsrs_jax.runs.demonstrate import simulate
+
+EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,11 +52,14 @@ def evaluate(
     """
     if num_episodes < 1:
         raise UserError(f"{num_episodes} episodes asked for: at least one is needed")
+    require_seed(seed)
     env_id = resolve_env_id(policy.env_id)
     if physics == "gymnasium":
         return _evaluate_in_gymnasium(policy, env_id, num_episodes, seed)
-    env = make_env(env_id, physics)
-    episodes = simulate(policy, env, num_episodes, seed, EPISODE_LENGTH)
+    engine, _ = choose_engine(physics)
+    # Not the initial states that demonstrations of the same seed begin with.
+    key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
+    episodes = simulate(policy, engine, num_episodes, key)
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 

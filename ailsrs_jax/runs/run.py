@@ -12,21 +12,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.policy import LinearPolicy
-from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations
+from ailsrs_jax.data.demonstrations import (
+    Demonstrations,
+    load_demonstrations,
+    validated,
+)
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import make_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.config import RunConfig, content_hash
+from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.settings import override
 
-CHECKPOINT_EVERY = 10  # iterations; one takes a second or so
+CHECKPOINT_EVERY = 10  # iterations
+NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
 
 Watch = Callable[[IterationReport], None]
 
@@ -48,14 +53,14 @@ class Result:
     config: RunConfig
     policies: dict[int, SavedPolicy]  # the kept policy of each seed
     kept_iterations: dict[int, int]  # when each was found
-    expert_return: float  # mean over the demonstrations
+    expert_returns: np.ndarray  # of the demonstrations
 
 
 def train(
     env: str,
     demonstrations: str | Path | Demonstrations | None = None,
     *,
-    num_trajectories: int = 10,
+    num_trajectories: int | None = None,
     seeds: Sequence[int] = (0,),
     preset: str = "tuned",
     physics: str = "auto",
@@ -70,7 +75,7 @@ def train(
         env: the task, ``Hopper-v5`` or ``hopper``.
         demonstrations: a file or demonstrations in memory; without any, those of the expert that
             ships with the package.
-        num_trajectories: use the first so many.
+        num_trajectories: use the first so many; by default 10 of the shipped expert, else all.
         seeds: all are trained together, as one batched program.
         preset: ``tuned`` or ``paper``.
         physics: ``auto``, ``mjx`` or ``mujoco``.
@@ -90,7 +95,7 @@ def train(
 def make_plan(
     env: str,
     demonstrations: str | Path | Demonstrations | None,
-    num_trajectories: int,
+    num_trajectories: int | None,
     seeds: Sequence[int],
     preset: str,
     physics: str,
@@ -102,25 +107,31 @@ def make_plan(
         UserError: something is wrong.
     """
     env_id = resolve_env_id(env)
-    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-        raise UserError(f"seeds are {list(seeds)}: give different whole numbers from 0")
+    seeds = [int(seed) for seed in seeds]
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise UserError(f"seeds are {seeds}: give one or more different ones")
+    for seed in seeds:
+        require_seed(seed)
     settings = override(preset_settings(env_id, preset), assignments)
     engine, reason = choose_engine(physics)
     task = make_env(env_id, engine)
     source = "of the expert that ships with the package"
     if demonstrations is None:
+        num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
         demonstrations = expert_demonstrations(env_id, num_trajectories, engine)
     elif isinstance(demonstrations, Demonstrations):
         source = "handed in"
+        demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
     else:
         source, demonstrations = str(demonstrations), load_demonstrations(demonstrations)
-    demonstrations = demonstrations.first(num_trajectories)
+    if num_trajectories is not None:
+        demonstrations = demonstrations.first(num_trajectories)
     _require_fit(demonstrations, env_id, task)
     config = RunConfig(
         env_id=env_id,
         physics=engine,
         seeds=tuple(seeds),
-        num_trajectories=num_trajectories,
+        num_trajectories=demonstrations.num_trajectories,
         demonstrations=source,
         demonstrations_sha256=content_hash(demonstrations),
         preset=preset,
@@ -138,6 +149,10 @@ def execute(
         UserError: the directory holds another run, or cannot be written.
     """
     config, settings = plan.config, plan.config.settings
+    if output is not None:
+        _prepare_directory(output, config, resume)
+    elif resume:
+        raise UserError("resume needs output, the directory of the run to go on with")
     trainer = make_ailsrs(plan.env, plan.demonstrations, settings)
     update = jax.jit(jax.vmap(trainer.update))
     keys = jax.vmap(jax.random.key)(jnp.array(config.seeds))
@@ -151,7 +166,6 @@ def execute(
     with ExitStack() as stack:
         metrics_file = checkpoints = None
         if output is not None:
-            _prepare_directory(output, config, resume)
             checkpoints = stack.enter_context(Checkpoints(output / "checkpoints", CHECKPOINT_EVERY))
             num_done, progress = checkpoints.restore(progress)
             metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
@@ -180,7 +194,7 @@ def execute(
 
     kept = jax.tree.map(np.asarray, state.kept)
     policies = {
-        seed: _saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
+        seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
         for index, seed in enumerate(config.seeds)
     }
     if output is not None:
@@ -190,11 +204,12 @@ def execute(
         config=config,
         policies=policies,
         kept_iterations=dict(zip(config.seeds, kept.iteration.tolist(), strict=True)),
-        expert_return=float(np.mean(plan.demonstrations.returns)),
+        expert_returns=np.asarray(plan.demonstrations.returns),
     )
 
 
-def _saved_policy(policy: LinearPolicy, env_id: str) -> SavedPolicy:
+def saved_policy(policy: LinearPolicy, env_id: str) -> SavedPolicy:
+    """The policy as it goes to disk."""
     return SavedPolicy(**{name: np.asarray(x) for name, x in vars(policy).items()}, env_id=env_id)
 
 
@@ -202,10 +217,14 @@ def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
     config_path = output / "config.json"
     if resume:
         config.require_same(config_path)
-    elif output.exists() and (not output.is_dir() or any(output.iterdir())):
+        return
+    try:
+        occupied = output.exists() and (not output.is_dir() or any(output.iterdir()))
+    except OSError as error:
+        raise UserError(f"cannot write {output}: {error.strerror}") from error
+    if occupied:
         raise UserError(f"{output} is not empty: add --resume to go on, or choose another --output")
-    else:
-        config.save(config_path)
+    config.save(config_path)
 
 
 def _require_fit(demonstrations: Demonstrations, env_id: str, env: MujocoTask) -> None:

@@ -32,7 +32,10 @@ class MetricsFile:
         kept: list[list[str]] = []
         if start > 0:
             header, *rows = read_rows(path)
-            kept = [header, *(row for row in rows if int(row[0]) < start)]
+            kept = [
+                header,
+                *(row for row in rows if len(row) == len(header) and int(row[0]) < start),
+            ]
         write_atomically(path, lambda file: file.write(_as_csv(kept)))
 
     def append(self, report: IterationReport) -> None:

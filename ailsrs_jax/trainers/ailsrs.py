@@ -42,9 +42,7 @@ class AilsrsSettings:
     memory_samples: int = 4000  # remembered of each iteration
     reward_reduction: Literal["mean", "sum"] = "mean"  # over the live steps of a rollout
     behavior_cloning_start: bool = False
-    standardize_with: Literal["running", "expert"] = (
-        "running"  # statistics; the paper's are running
-    )
+    standardize_with: Literal["running", "expert"] = "running"  # whose statistics
     num_evaluation_episodes: int = 4
     num_distance_samples: int = 1500  # from each side, for the choice of the policy to keep
 
@@ -53,7 +51,7 @@ class TrainState(struct.PyTreeNode):
     """What one iteration hands to the next."""
 
     weights: jax.Array  # (p, n)
-    statistics: RunningStatistics  # of all states met
+    statistics: RunningStatistics  # what observations are standardised with
     discriminator: Any  # Flax parameters
     optimizer: optax.OptState
     memory: SampleMemory  # discriminator inputs of recent policies
@@ -66,9 +64,8 @@ class Expert(struct.PyTreeNode):
     """The demonstrations as training uses them, made by :func:`make_ailsrs`."""
 
     inputs: jax.Array  # (E, T, n + p) discriminator inputs
-    alive: jax.Array  # (E, T) bool
+    lengths: jax.Array  # (E,) int32
     statistics: RunningStatistics  # of the expert's observations, the fixed scale of the inputs
-    actions: jax.Array  # (E, T, p)
     distance_features: jax.Array  # (m, n + p + 1), drawn once
 
 
@@ -91,8 +88,9 @@ class Ailsrs:
         if self.settings.standardize_with == "expert" or self.settings.behavior_cloning_start:
             statistics = self.expert.statistics
         if self.settings.behavior_cloning_start:
-            states = self.expert.inputs[..., : self.env.observation_size]
-            weights = ridge_regression(states, self.expert.actions, self.expert.alive)
+            states, actions = jnp.split(self.expert.inputs, [self.env.observation_size], axis=-1)
+            alive = jnp.arange(states.shape[1]) < self.expert.lengths[:, None]
+            weights = ridge_regression(states, actions, alive)
         return TrainState(
             weights=weights,
             statistics=statistics,
@@ -215,7 +213,7 @@ class Ailsrs:
             policy_key, expert_key, penalty_key = jax.random.split(key, 3)
             batch_size = settings.discriminator_batch_size
             policy_inputs = memory.sample(policy_key, batch_size)
-            episode, time = sample_steps(expert_key, expert.alive.sum(axis=1), batch_size)
+            episode, time = sample_steps(expert_key, expert.lengths, batch_size)
             expert_inputs = expert.inputs[episode, time]
 
             logits = functools.partial(self._logits, parameters)
@@ -268,22 +266,34 @@ class Ailsrs:
     def _distance_to_expert(self, key: jax.Array, episodes: Rollout) -> jax.Array:
         inputs = discriminator_inputs(
             self.expert.statistics, episodes.observations, episodes.actions
-        )
-        features = distance_features(key, inputs.swapaxes(0, 1), episodes.lengths, self.settings)
+        ).swapaxes(0, 1)
+        horizon = _horizon(self.expert.inputs, self.settings)
+        features = distance_features(key, inputs, episodes.lengths, horizon, self.settings)
         return energy_distance(features, self.expert.distance_features)
 
 
 def make_ailsrs(env: Env, demonstrations: Demonstrations, settings: AilsrsSettings) -> Ailsrs:
     """Prepare the demonstrations for training in ``env``."""
-    observations, actions, alive = map(
-        jnp.asarray, (demonstrations.observations, demonstrations.actions, demonstrations.alive)
+    observations, actions, lengths, alive = map(
+        jnp.asarray,
+        (
+            demonstrations.observations,
+            demonstrations.actions,
+            demonstrations.lengths,
+            demonstrations.alive,
+        ),
     )
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
     inputs = discriminator_inputs(statistics, observations, actions)
     features = distance_features(
-        jax.random.key(0), inputs, jnp.asarray(demonstrations.lengths), settings
+        jax.random.key(0), inputs, lengths, _horizon(inputs, settings), settings
     )
-    return Ailsrs(env, settings, Expert(inputs, alive, statistics, actions, features))
+    return Ailsrs(env, settings, Expert(inputs, lengths, statistics, features))
+
+
+def _horizon(expert_inputs: jax.Array, settings: AilsrsSettings) -> int:
+    # Beyond the demonstrations' own time limit nobody knows what the expert would have done.
+    return min(settings.episode_length, expert_inputs.shape[1])
 
 
 def discriminator_inputs(
@@ -298,19 +308,19 @@ def discriminator_inputs(
 
 
 def distance_features(
-    key: jax.Array, inputs: jax.Array, lengths: jax.Array, settings: AilsrsSettings
+    key: jax.Array, inputs: jax.Array, lengths: jax.Array, horizon: int, settings: AilsrsSettings
 ) -> jax.Array:
     """Draw ``(m, n + p + 1)`` points for the energy distance from the episodes' ``inputs``.
 
-    Moments are drawn from the whole time limit. After an episode's end the state is an absorbing
-    one, all zeros but for the last entry, which puts it as far from the others as they are from one
-    another; so episodes of another length than the expert's are seen to be different.
+    Moments are drawn from the first ``horizon`` steps. After an episode's end the state is an
+    absorbing one, all zeros but for the last entry, which puts it as far from the others as they
+    are from one another; so episodes of another length than the expert's are seen to be different.
     """
     episode_key, time_key = jax.random.split(key)
     num_samples = settings.num_distance_samples
     episode = jax.random.randint(episode_key, (num_samples,), 0, lengths.shape[0])
-    time = jax.random.randint(time_key, (num_samples,), 0, settings.episode_length)
+    time = jax.random.randint(time_key, (num_samples,), 0, horizon)
     alive = (time < lengths[episode])[:, None]
-    points = jnp.where(alive, inputs[episode, jnp.minimum(time, inputs.shape[1] - 1)], 0.0)
+    points = jnp.where(alive, inputs[episode, time], 0.0)
     absorbed = jnp.where(alive, 0.0, jnp.sqrt(inputs.shape[-1]))
     return jnp.concatenate([points, absorbed], axis=-1)

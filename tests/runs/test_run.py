@@ -79,7 +79,7 @@ def test_directory_holds_what_is_promised(finished: tuple[Path, run.Result]) -> 
         np.testing.assert_array_equal(saved.weights, policy.weights)
         distances = [float(r["expert_distance"]) for r in rows if r["seed"] == str(seed)]
         assert result.kept_iterations[seed] == int(np.argmin(distances))
-    assert result.expert_return == 1.5
+    assert result.expert_returns.tolist() == [1.0, 2.0]
 
 
 def test_interrupted_and_resumed_is_bitwise_the_same(
@@ -125,6 +125,8 @@ def test_another_run_is_never_overwritten_or_continued(
     changed = make_plan(assignments=ASSIGNMENTS | {"noise_std": "0.5"})
     with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
         run.execute(changed, directory, resume=True)
+    with pytest.raises(UserError, match="resume needs output"):
+        run.execute(make_plan(), resume=True)
     with pytest.raises(UserError, match="nothing to resume"):
         run.execute(make_plan(), tmp_path / "nowhere", resume=True)
 
@@ -164,7 +166,10 @@ WRONG = {
     "unknown environment 'hoper'": {"env": "hoper"},
     "unknown preset 'best'": {"preset": "best"},
     "unknown physics 'bullet'": {"physics": "bullet"},
-    "seeds are": {"seeds": (1, 1)},
+    "seeds are [1, 1]": {"seeds": (1, 1)},
+    "seeds are []": {"seeds": ()},
+    "seed is -1: it must be from 0": {"seeds": (-1,)},
+    "seed is 2147483648: it must be from 0": {"seeds": (2**31,)},
     "hold 3": {"num_trajectories": 4},
     "are of Swimmer-v5, not of Hopper-v5": {"env": "hopper"},
     "no such file": {"demonstrations": "missing.npz"},
@@ -192,6 +197,20 @@ def test_mistakes_are_found_before_anything_runs(message: str, change: dict[str,
     with pytest.raises(UserError) as caught:
         make_plan(**change)
     assert message in str(caught.value)
+
+
+def test_demonstrations_in_memory_are_checked_like_files() -> None:
+    broken = swimmer_demonstrations()
+    broken.actions[1, 2] = np.nan
+    with pytest.raises(UserError, match="handed in: actions hold NaN"):
+        make_plan(demonstrations=broken)
+    padded = swimmer_demonstrations().replace(lengths=np.array([10, 4, 10]))
+    padded.observations[1, 4:] = np.nan  # after the end: means nothing
+    assert np.isfinite(make_plan(demonstrations=padded).demonstrations.observations).all()
+
+
+def test_all_demonstrations_of_ones_own_are_used_unless_told() -> None:
+    assert make_plan(num_trajectories=None).config.num_trajectories == 3
 
 
 def test_demonstrations_must_fit_the_task() -> None:

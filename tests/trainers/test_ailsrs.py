@@ -154,7 +154,7 @@ def test_step_size_decays_linearly(trainer: Ailsrs) -> None:
 def test_distance_sees_the_length_of_episodes() -> None:
     inputs = jax.random.normal(jax.random.key(0), (6, EPISODE_LENGTH, 3))
     lengths = jnp.full(6, 20)
-    features = distance_features(jax.random.key(1), inputs, lengths, SMALL)
+    features = distance_features(jax.random.key(1), inputs, lengths, EPISODE_LENGTH, SMALL)
     absorbed = features[:, -1] > 0
     np.testing.assert_allclose(absorbed.mean(), 1 - 20 / EPISODE_LENGTH, atol=0.15)
     assert not features[absorbed, :-1].any()

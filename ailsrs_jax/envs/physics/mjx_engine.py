@@ -11,7 +11,7 @@ from ailsrs_jax.envs.physics.base import PhysicsState
 
 # In float32 the default tolerance of 1e-8 is never reached, so every step runs all 100 solver and
 # 50 line-search iterations. These settings leave the error of one environment step against the C
-# engine where it was and are 3.4 times faster (tests/envs/test_fidelity.py bounds the error).
+# engine where it was and are 3.4 times faster (tests/envs/test_gymnasium_agreement.py bounds it).
 SOLVER_ITERATIONS = 6
 LINE_SEARCH_ITERATIONS = 4
 SOLVER_TOLERANCE = 1e-4

@@ -1,6 +1,7 @@
 """MuJoCo's own C engine, one thread per core, called from inside a jitted program."""
 
 import os
+import threading
 
 import jax
 import mujoco
@@ -10,6 +11,13 @@ import numpy as np
 from ailsrs_jax.envs.physics.base import PhysicsState
 
 HostState = tuple[np.ndarray, np.ndarray, np.ndarray]  # the fields of PhysicsState, in NumPy
+
+
+def available_cores() -> int:
+    """Cores that this process may run on, which in a container can be fewer than there are."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class MujocoPhysics:
@@ -25,9 +33,10 @@ class MujocoPhysics:
         self.model = model
         self.frame_skip = frame_skip
         self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-        num_threads = os.cpu_count() or 1
+        num_threads = available_cores()
         self._data = [mujoco.MjData(model) for _ in range(num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=num_threads)
+        self._lock = threading.Lock()  # programs on two Python threads may share this engine
         self._state_types = (
             jax.ShapeDtypeStruct((model.nq,), np.float32),
             jax.ShapeDtypeStruct((model.nv,), np.float32),
@@ -63,8 +72,9 @@ class MujocoPhysics:
         if rows.size:
             controls = np.asarray(ctrl, np.float64).reshape(-1, self.model.nu)[rows]
             controls = np.repeat(controls[:, None], self.frame_skip, axis=1)
-            trajectory, _ = self._pool.rollout(self.model, self._data, simulations[rows], controls)
-            simulations[rows] = trajectory[:, -1]
+            with self._lock:
+                states, _ = self._pool.rollout(self.model, self._data, simulations[rows], controls)
+            simulations[rows] = states[:, -1]
         return self._unpack(full_state)
 
     def _unpack(self, full_state: np.ndarray) -> HostState:

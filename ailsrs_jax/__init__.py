@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.envs.registry import make_env as make_env
     from ailsrs_jax.errors import UserError as UserError
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
+    from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import train as train
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
@@ -33,6 +34,7 @@ _HOMES = {
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
     "make_env": "envs.registry",
+    "preset_settings": "runs.presets",
     "train": "runs.run",
 }
 

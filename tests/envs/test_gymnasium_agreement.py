@@ -103,7 +103,9 @@ def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> None:
     for name, values in steps.terms.items():
         term_errors = np.abs(state.metrics[name] - values) / np.maximum(1.0, np.abs(values))
         assert np.quantile(term_errors, 0.99) < 10 * tolerance, name
-    assert np.mean(np.asarray(state.done, bool) != steps.terminated) < 0.005
+    # A state on the very border may fall on either side; a step that ends is one in a hundred.
+    disagreements = np.sum(np.asarray(state.done, bool) != steps.terminated)
+    assert disagreements <= 0.05 * steps.terminated.sum()
 
 
 @pytest.mark.parametrize("env_id", TASKS)

@@ -1,12 +1,12 @@
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ailsrs_jax.components import discriminator as adversary
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.ailsrs import (
@@ -200,38 +200,53 @@ def test_learns_the_point_mass_from_nothing(
     assert kept_return > 1.3 * expert_return
 
 
-def mjx_trainer() -> Ailsrs:
-    """The default shape of a tuned run, on the engine that makes it one XLA program."""
-    env = make_env("hopper", "mjx")
+def swimmer_trainer(physics: str, settings: AilsrsSettings) -> Ailsrs:
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
-        observations=rng.normal(size=(2, 1000, 11)).astype(np.float32),
-        actions=rng.uniform(-1, 1, (2, 1000, 3)).astype(np.float32),
-        lengths=np.array([1000, 500]),
+        observations=rng.normal(size=(2, 50, 8)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (2, 50, 2)).astype(np.float32),
+        lengths=np.array([50, 20]),
         returns=np.zeros(2, np.float32),
-        env_id="Hopper-v5",
+        env_id="Swimmer-v5",
     )
-    settings = AilsrsSettings(num_directions=32, num_top_directions=16, gradient_penalty=1.0)
-    return make_ailsrs(env, demonstrations, settings)
+    return make_ailsrs(make_env("swimmer", physics), demonstrations, settings)
+
+
+def abstract_state(trainer: Ailsrs) -> Any:
+    """The training state of two seeds, as shapes."""
+    seeds = jax.ShapeDtypeStruct((2,), jnp.int32)
+    return jax.eval_shape(
+        lambda seeds: jax.vmap(trainer.init)(jax.vmap(jax.random.key)(seeds)), seeds
+    )
 
 
 @pytest.mark.parametrize("platform", ["cuda", "tpu"])
 def test_with_mjx_it_is_one_program_for_an_accelerator(platform: str) -> None:
-    trainer = mjx_trainer()
-    seeds = jax.ShapeDtypeStruct((2,), jnp.int32)
-    state = jax.eval_shape(
-        lambda seeds: jax.vmap(trainer.init)(jax.vmap(jax.random.key)(seeds)), seeds
-    )
-    exported = jax.export.export(jax.jit(jax.vmap(trainer.update)), platforms=[platform])(state)
+    settings = AilsrsSettings(num_directions=32, num_top_directions=16, gradient_penalty=1.0)
+    trainer = swimmer_trainer("mjx", settings)
+    update = jax.jit(jax.vmap(trainer.update))
+    exported = jax.export.export(update, platforms=[platform])(abstract_state(trainer))
     program = exported.mlir_module()
-    assert exported.platforms == (platform,)
     assert len(program) > 100_000
     assert "callback" not in program
 
 
-def test_reward_convention_is_the_discriminators() -> None:
-    """What the discriminator is trained to call the expert is what pays."""
-    assert adversary.EXPERT_LABEL > adversary.POLICY_LABEL
-    assert float(adversary.imitation_reward(jnp.array(3.0))) > float(
-        adversary.imitation_reward(jnp.array(-3.0))
-    )
+def test_with_the_c_engine_it_calls_the_host() -> None:
+    """The word that the test above looks for is there when there is a callback."""
+    trainer = swimmer_trainer("mujoco", SMALL)
+    program = jax.jit(jax.vmap(trainer.update)).lower(abstract_state(trainer)).as_text()
+    assert "callback" in program
+
+
+def test_a_step_on_mjx_is_the_step_on_the_c_engine() -> None:
+    settings = dataclasses.replace(SMALL, episode_length=20)
+    states = []
+    for physics in ("mjx", "mujoco"):
+        trainer = swimmer_trainer(physics, settings)
+        state, metrics = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+        assert all(bool(jnp.isfinite(value)) for value in metrics.values())
+        states.append(state)
+    ours, reference = states
+    assert float(jnp.abs(ours.weights).max()) > 0
+    np.testing.assert_allclose(ours.statistics.mean, reference.statistics.mean, atol=1e-3)
+    np.testing.assert_allclose(ours.weights, reference.weights, atol=2e-3)

@@ -1,0 +1,24 @@
+"""Our tasks are Brax environments: its wrappers and trainers take them as they are."""
+
+import jax
+import jax.numpy as jnp
+from brax.envs.wrappers import training
+
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.registry import make_env
+
+
+def test_brax_wrappers_reset_episodes_that_end() -> None:
+    env = make_env("hopper", "mujoco")
+    assert isinstance(env, Env)
+    wrapped = training.wrap(env, episode_length=15)
+    # Brax reads the batch size off the old kind of key.
+    state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
+    first = state.obs
+    step, ended = jax.jit(wrapped.step), jnp.zeros(3, bool)
+    for _ in range(15):
+        state = step(state, 0.1 * jnp.ones((3, 3)))
+        ended |= state.done == 1
+    assert bool(ended.all())  # of time, if nothing else
+    assert bool(jnp.isfinite(state.obs).all())
+    assert bool((jnp.abs(state.obs - first) < 1e-6).all(axis=1).any())

@@ -125,15 +125,12 @@ def evaluate(
         seed: Of the initial states.
         as_json: Print JSON.
     """
-    from ailsrs_jax.data.policies import load_policy
+    from ailsrs_jax.data.policies import load_policy, policy_files
     from ailsrs_jax.envs.physics import choose_engine
     from ailsrs_jax.runs import evaluation
 
-    paths = [policy] if policy.suffix == ".npz" else sorted(policy.glob("seed_*/policy.npz"))
-    if not paths:
-        raise UserError(f"{policy} holds no seed_*/policy.npz: is it a finished run?")
     rows: list[dict[str, Any]] = []
-    for path in paths:
+    for path in policy_files(policy):
         loaded = load_policy(path)
         result = evaluation.evaluate(loaded, episodes, physics, seed)
         rows.append(

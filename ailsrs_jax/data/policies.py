@@ -73,6 +73,21 @@ def load_policy(path: str | Path) -> SavedPolicy:
     return SavedPolicy(**{name: fields[name] for name in ARRAYS}, env_id=str(fields["env_id"]))
 
 
+def policy_files(path: Path) -> list[Path]:
+    """The policy file ``path`` itself, or those of every seed of the run directory ``path``.
+
+    Raises:
+        UserError: it is a directory without any, or cannot be looked into.
+    """
+    try:
+        paths = sorted(path.glob("seed_*/policy.npz")) if path.is_dir() else [path]
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    if not paths:
+        raise UserError(f"{path} holds no seed_*/policy.npz: is it a finished run?")
+    return paths
+
+
 def expert_path(env_id: str) -> Path:
     """The file of the expert that ships with the package for ``env_id``."""
     return Path(str(resources.files("ailsrs_jax.data"))) / "experts" / f"{env_id}.npz"

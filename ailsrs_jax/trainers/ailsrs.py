@@ -11,7 +11,7 @@ from flax import struct
 
 from ailsrs_jax.components import discriminator as adversary
 from ailsrs_jax.components import normalizer, random_search
-from ailsrs_jax.components.energy_distance import energy_distance
+from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
@@ -67,6 +67,7 @@ class Expert(struct.PyTreeNode):
     lengths: jax.Array  # (E,) int32
     statistics: RunningStatistics  # of the expert's observations, the fixed scale of the inputs
     distance_features: jax.Array  # (m, n + p + 1), drawn once
+    distance_spread: jax.Array  # () mean distance among them
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -269,7 +270,8 @@ class Ailsrs:
         ).swapaxes(0, 1)
         horizon = _horizon(self.expert.inputs, self.settings)
         features = distance_features(key, inputs, episodes.lengths, horizon, self.settings)
-        return energy_distance(features, self.expert.distance_features)
+        expert = self.expert
+        return energy_distance(features, expert.distance_features, expert.distance_spread)
 
 
 def make_ailsrs(env: Env, demonstrations: Demonstrations, settings: AilsrsSettings) -> Ailsrs:
@@ -288,7 +290,8 @@ def make_ailsrs(env: Env, demonstrations: Demonstrations, settings: AilsrsSettin
     features = distance_features(
         jax.random.key(0), inputs, lengths, _horizon(inputs, settings), settings
     )
-    return Ailsrs(env, settings, Expert(inputs, lengths, statistics, features))
+    spread = mean_distance(features, features)
+    return Ailsrs(env, settings, Expert(inputs, lengths, statistics, features, spread))
 
 
 def _horizon(expert_inputs: jax.Array, settings: AilsrsSettings) -> int:

@@ -16,10 +16,10 @@ _PAPER = {
     "Walker2d-v5": AilsrsSettings(),
 }
 
-# What the discriminator needs to stay informative, and the search to stay at the expert once there:
-# a gradient penalty and a memory of past policies keep it from winning outright, so many steps an
-# iteration track the policy without overfitting it; the expert's fixed statistics keep a cloned
-# policy what it was, where running ones would change it with every state met.
+# Tuned by hand as a whole, not one setting at a time. What each is meant for: the gradient penalty
+# and the memory of past policies keep the discriminator from winning outright, more of its steps let
+# it follow the policy, and the expert's fixed statistics keep a cloned policy what it was, where
+# running ones change what its weights mean with every state met. A falling step size damps the game.
 _TUNED_BASE = AilsrsSettings(
     num_directions=16,
     num_top_directions=8,

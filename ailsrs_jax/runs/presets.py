@@ -17,9 +17,10 @@ _PAPER = {
 }
 
 # Tuned by hand as a whole, not one setting at a time. What each is meant for: the gradient penalty
-# and the memory of past policies keep the discriminator from winning outright, more of its steps let
-# it follow the policy, and the expert's fixed statistics keep a cloned policy what it was, where
-# running ones change what its weights mean with every state met. A falling step size damps the game.
+# and the memory of past policies keep the discriminator from winning outright; more of its steps
+# let it follow the policy; the expert's fixed statistics keep a cloned policy what it was, where
+# running ones change what its weights mean with every state met; a falling step size damps the
+# game.
 _TUNED_BASE = AilsrsSettings(
     num_directions=16,
     num_top_directions=8,

@@ -32,10 +32,13 @@ class Discriminator(nn.Module):
 
 
 def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
-    """LS-GAN (Mao et al., 2017): ½ E_expert[(D − 1)²] + ½ E_policy[(D − 0)²]."""
+    """LS-GAN (Mao et al., 2017): the loss ``(batch)`` of pairs of steps, ½(D_e − 1)² + ½(D_p − 0)².
+
+    Its mean is ½ E_expert[(D − 1)²] + ½ E_policy[(D − 0)²].
+    """
     expert_error = jax.nn.sigmoid(expert_logits) - EXPERT_LABEL
     policy_error = jax.nn.sigmoid(policy_logits) - POLICY_LABEL
-    return 0.5 * jnp.mean(jnp.square(expert_error)) + 0.5 * jnp.mean(jnp.square(policy_error))
+    return 0.5 * jnp.square(expert_error) + 0.5 * jnp.square(policy_error)
 
 
 def gradient_penalty(
@@ -44,7 +47,7 @@ def gradient_penalty(
     expert_inputs: jax.Array,
     key: jax.Array,
 ) -> jax.Array:
-    """E[‖∇_x D(x)‖²] at random points x between paired samples ``(batch, d)`` of both sides.
+    """``(batch)`` ‖∇_x D(x)‖² at random points x between pairs of the inputs ``(batch, d)``.
 
     Zero-centred: it bounds how steep the score can get between policy and expert, which keeps the
     reward informative when the two are easily told apart (Thanh-Tung et al., 2019).
@@ -52,7 +55,7 @@ def gradient_penalty(
     fractions = jax.random.uniform(key, (policy_inputs.shape[0], 1))
     points = fractions * policy_inputs + (1.0 - fractions) * expert_inputs
     gradients = jax.vmap(jax.grad(lambda x: jax.nn.sigmoid(logit_function(x))))(points)
-    return jnp.mean(jnp.sum(jnp.square(gradients), axis=-1))
+    return jnp.sum(jnp.square(gradients), axis=-1)
 
 
 def imitation_reward(logits: jax.Array) -> jax.Array:

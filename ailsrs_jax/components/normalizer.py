@@ -1,5 +1,7 @@
 """Running mean and standard deviation of the states met so far, from masked batches."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -29,19 +31,27 @@ def init(size: int) -> RunningStatistics:
     )
 
 
-def update(statistics: RunningStatistics, samples: jax.Array, mask: jax.Array) -> RunningStatistics:
+def update(
+    statistics: RunningStatistics,
+    samples: jax.Array,
+    mask: jax.Array,
+    total: Callable[[jax.Array], jax.Array] = lambda part: part,
+) -> RunningStatistics:
     """Merge the samples ``(..., n)`` whose ``mask (...)`` is true.
 
     The batch's own moments are computed in two passes and merged with the parallel formula of
     Chan, Golub and LeVeque (1983), which stays accurate when the mean is far from zero:
 
         δ = mean_b − mean_a,   mean = mean_a + δ n_b / n,   M2 = M2_a + M2_b + δ² n_a n_b / n
+
+    Where the batch is spread over devices, each with its own ``samples``, ``total`` is what sums
+    over all of them.
     """
     samples = samples.reshape(-1, samples.shape[-1])
     mask = mask.reshape(-1, 1)
-    batch_count = jnp.sum(mask, dtype=jnp.float32)
-    batch_mean = jnp.sum(samples, axis=0, where=mask) / jnp.maximum(batch_count, 1.0)
-    batch_sum = jnp.sum(jnp.square(samples - batch_mean), axis=0, where=mask)
+    batch_count = total(jnp.sum(mask, dtype=jnp.float32))
+    batch_mean = total(jnp.sum(samples, axis=0, where=mask)) / jnp.maximum(batch_count, 1.0)
+    batch_sum = total(jnp.sum(jnp.square(samples - batch_mean), axis=0, where=mask))
 
     count = statistics.count + batch_count
     batch_fraction = batch_count / jnp.maximum(count, 1.0)

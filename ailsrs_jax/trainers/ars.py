@@ -14,7 +14,9 @@ from ailsrs_jax.components import normalizer, random_search
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
+from ailsrs_jax.trainers.exploration import explore
+from ailsrs_jax.trainers.rollout import action_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,10 +47,15 @@ class TrainState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ars:
-    """Random search of a linear policy on the reward of ``env``."""
+    """Random search of a linear policy on the reward of ``env``.
+
+    ``devices`` and ``rollout_batch_size`` are as in :class:`~ailsrs_jax.trainers.ailsrs.Ailsrs`.
+    """
 
     env: Env
     settings: ArsSettings
+    devices: Devices = ONE_DEVICE
+    rollout_batch_size: int | None = None
 
     def init(self, key: jax.Array) -> TrainState:
         """The paper's start: all weights zero, no statistics."""
@@ -62,54 +69,11 @@ class Ars:
             iteration=jnp.zeros((), jnp.int32),
         )
 
-    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """The unperturbed policy, with statistics frozen as they are."""
-        low, high = action_range(self.env)
-        if not self.settings.normalize_observations:
-            statistics = normalizer.init(self.env.observation_size)
-        return LinearPolicy(weights, statistics.mean, statistics.std, low, high)
-
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
         """One iteration: perturb, roll out, step; then merge the states met."""
-        settings, n = self.settings, self.settings.num_directions
-        key, noise_key, reset_key = jax.random.split(state.key, 3)
-
-        deltas = random_search.sample_directions(noise_key, n, state.weights.shape)
-        perturbed = random_search.perturb(state.weights, deltas, settings.noise_std)
-        unperturbed = jnp.tile(state.weights, (settings.num_evaluation_episodes, 1, 1))
-        policy = self.policy(state.weights, state.statistics)
-        batch = rollout(
-            self.env,
-            policy.with_weights(jnp.concatenate([perturbed, unperturbed])),
-            jax.random.split(reset_key, 2 * n + settings.num_evaluation_episodes),
-            settings.episode_length,
-        )
-
-        returns = batch.env_returns - settings.survival_bonus * batch.lengths
-        evaluation_return = batch.env_returns[2 * n :].mean()
-        weights = random_search.step(
-            state.weights,
-            deltas,
-            returns[:n],
-            returns[n : 2 * n],
-            step_size=settings.step_size,
-            num_top_directions=settings.num_top_directions,
-            scale_by_std=settings.scale_by_std,
-        )
-        explored = batch.episodes(0, 2 * n)
-        metrics = {
-            "evaluation_return": evaluation_return,
-            "evaluation_length": batch.lengths[2 * n :].mean(),
-            "env_steps": batch.env_steps,
-        }
-        state = TrainState(
-            weights=weights,
-            statistics=normalizer.update(state.statistics, explored.observations, explored.alive),
-            kept=state.kept.offer(policy, evaluation_return, state.iteration),
-            key=key,
-            iteration=state.iteration + 1,
-        )
-        return state, metrics
+        update = self.devices.split(self._update, EVERYWHERE, EVERYWHERE)
+        result: tuple[TrainState, dict[str, jax.Array]] = update(state)
+        return result
 
     def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         """The whole run as one function of a key; metrics are stacked over iterations."""
@@ -118,3 +82,59 @@ class Ars:
             self.init(key),
             length=self.settings.num_iterations,
         )
+
+    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
+        """The unperturbed policy, with statistics frozen as they are."""
+        low, high = action_range(self.env)
+        if not self.settings.normalize_observations:
+            statistics = normalizer.init(self.env.observation_size)
+        return LinearPolicy(weights, statistics.mean, statistics.std, low, high)
+
+    def _update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+        """:meth:`update` on one device."""
+        settings, devices = self.settings, self.devices
+        key, noise_key, reset_key = jax.random.split(state.key, 3)
+
+        policy = self.policy(state.weights, state.statistics)
+        deltas = random_search.sample_directions(
+            noise_key, settings.num_directions, state.weights.shape
+        )
+        explored, evaluation = explore(
+            self.env,
+            policy,
+            deltas,
+            reset_key,
+            noise_std=settings.noise_std,
+            num_evaluation_episodes=settings.num_evaluation_episodes,
+            episode_length=settings.episode_length,
+            devices=devices,
+            batch_size=self.rollout_batch_size,
+        )
+
+        returns = explored.env_returns - settings.survival_bonus * explored.lengths
+        returns_plus, returns_minus = devices.gather(returns.reshape(2, -1), axis=1)
+        weights = random_search.step(
+            state.weights,
+            deltas,
+            returns_plus,
+            returns_minus,
+            step_size=settings.step_size,
+            num_top_directions=settings.num_top_directions,
+            scale_by_std=settings.scale_by_std,
+        )
+        evaluation_return = evaluation.env_returns.mean()
+        metrics = {
+            "evaluation_return": evaluation_return,
+            "evaluation_length": evaluation.lengths.mean(),
+            "env_steps": devices.sum(explored.env_steps) + evaluation.env_steps,
+        }
+        state = TrainState(
+            weights=weights,
+            statistics=normalizer.update(
+                state.statistics, explored.observations, explored.alive, devices.sum
+            ),
+            kept=state.kept.offer(policy, evaluation_return, state.iteration),
+            key=key,
+            iteration=state.iteration + 1,
+        )
+        return state, metrics

@@ -1,5 +1,6 @@
 """Rolling out a batch of policies, one episode each, until nobody is alive."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,6 +9,12 @@ from flax import struct
 
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs import Env, State
+
+# Once no episode waits and so few slots are busy, the rest is simulated in only so many. Every
+# width is one more copy of the physics to compile, so there are two.
+NARROWING = 8
+
+SLICE_LENGTH = 50  # steps of all episodes that are looked at together
 
 
 class Rollout(struct.PyTreeNode):
@@ -20,6 +27,7 @@ class Rollout(struct.PyTreeNode):
     actions: jax.Array  # (T, B, p), what it did, clipped to the actuators' range
     env_rewards: jax.Array  # (T, B), what the environment paid for it
     lengths: jax.Array  # (B,) int32, steps until the episode ended, at least 1
+    slot_steps: jax.Array  # () int32, steps of the slots that simulated it, busy or idle
 
     @property
     def alive(self) -> jax.Array:
@@ -36,6 +44,27 @@ class Rollout(struct.PyTreeNode):
         """``()`` live steps simulated."""
         return self.lengths.sum()
 
+    def sum_over_steps(self, function: Callable[[jax.Array, jax.Array], jax.Array]) -> jax.Array:
+        """``(B,)`` sums over live steps of ``function(observations, actions)``.
+
+        In slices of time, which bounds the memory and stops where the last episode does.
+        """
+        num_steps = len(self.observations)
+        slice_length = min(SLICE_LENGTH, num_steps)
+
+        def add_slice(index: jax.Array, totals: jax.Array) -> jax.Array:
+            start = jnp.minimum(index * slice_length, num_steps - slice_length)
+            values = function(
+                jax.lax.dynamic_slice_in_dim(self.observations, start, slice_length),
+                jax.lax.dynamic_slice_in_dim(self.actions, start, slice_length),
+            )
+            time = start + jnp.arange(slice_length)[:, None]
+            counts = (time >= index * slice_length) & (time < self.lengths)
+            return totals + jnp.sum(values, axis=0, where=counts)
+
+        num_slices = -(-self.lengths.max() // slice_length)
+        return jax.lax.fori_loop(0, num_slices, add_slice, jnp.zeros(self.lengths.shape))
+
     def episodes(self, start: int, stop: int | None = None) -> "Rollout":
         """The episodes ``start`` to ``stop`` of the batch."""
         return Rollout(
@@ -43,7 +72,19 @@ class Rollout(struct.PyTreeNode):
             self.actions[:, start:stop],
             self.env_rewards[:, start:stop],
             self.lengths[start:stop],
+            self.slot_steps,
         )
+
+
+class Slots(struct.PyTreeNode):
+    """The S simulations that run at the same time."""
+
+    env_state: State  # (S, ...)
+    episode: jax.Array  # (S,) int32, which of the B episodes; B in an idle slot
+    time: jax.Array  # (S,) int32, steps since the episode began
+
+
+Carry = tuple[Slots, jax.Array, Rollout]  # with the index of the next episode that waits
 
 
 def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
@@ -54,24 +95,34 @@ def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
 
 
 def rollout(
-    env: Env, policies: LinearPolicy, reset_keys: jax.Array, episode_length: int
+    env: Env,
+    policies: LinearPolicy,
+    reset_keys: jax.Array,
+    episode_length: int,
+    batch_size: int | None = None,
 ) -> Rollout:
     """Simulate one episode of each policy.
 
-    The loop ends when the last episode does. Under ``jax.vmap`` the new axis is merged into the
-    batch, so that several seeds still are one loop with one batch of simulations; XLA's own rule
-    would copy the whole trajectory at every step.
+    With ``batch_size`` slots for more episodes than that, a slot whose episode has ended goes on
+    with the next one that waits, as an inference server does with its requests, so that few are
+    idle while others are still alive; the episodes are the same. The loop ends when the last
+    episode does.
+
+    Under ``jax.vmap`` the new axis is merged into the batch, so that several seeds still are one
+    loop with one batch of simulations; XLA's own rule would copy the whole trajectory at every
+    step. ``slot_steps`` is then the number of all of them together.
 
     Args:
         env: a Brax environment without auto-reset; ``done`` ends an episode.
         policies: a batch of B policies.
         reset_keys: ``(B,)`` keys for the initial states.
         episode_length: T, the time limit in environment steps.
+        batch_size: S, simulations at a time; by default all B.
     """
 
     @jax.custom_batching.custom_vmap
     def simulate(policies: LinearPolicy, reset_keys: jax.Array) -> Rollout:
-        return _simulate(env, policies, reset_keys, episode_length)
+        return _simulate(env, policies, reset_keys, episode_length, batch_size)
 
     @simulate.def_vmap
     def _merge_axes(
@@ -87,8 +138,13 @@ def rollout(
         def split(x: jax.Array) -> jax.Array:  # (T, S·B, …) → (S, T, B, …)
             return jnp.moveaxis(x.reshape(x.shape[0], axis_size, -1, *x.shape[2:]), 1, 0)
 
-        trajectories = jax.tree.map(split, merged.replace(lengths=merged.lengths[None]))
-        batch = trajectories.replace(lengths=trajectories.lengths[:, 0])
+        batch = Rollout(
+            observations=split(merged.observations),
+            actions=split(merged.actions),
+            env_rewards=split(merged.env_rewards),
+            lengths=merged.lengths.reshape(axis_size, -1),
+            slot_steps=jnp.broadcast_to(merged.slot_steps, axis_size),
+        )
         return batch, jax.tree.map(lambda _: True, batch)
 
     result: Rollout = simulate(policies, reset_keys)
@@ -96,44 +152,78 @@ def rollout(
 
 
 def _simulate(
-    env: Env, policies: LinearPolicy, reset_keys: jax.Array, episode_length: int
+    env: Env,
+    policies: LinearPolicy,
+    reset_keys: jax.Array,
+    episode_length: int,
+    batch_size: int | None,
 ) -> Rollout:
-    batch_size = reset_keys.shape[0]
-    env_state = jax.vmap(env.reset)(reset_keys)
+    num_episodes = len(reset_keys)
+    num_slots = min(batch_size or num_episodes, num_episodes)
+    all_at_once = num_slots == num_episodes
+    initial = jax.vmap(env.reset)(reset_keys)
     trajectory = Rollout(
-        observations=jnp.zeros((episode_length, *env_state.obs.shape)),
+        observations=jnp.zeros((episode_length, *initial.obs.shape)),
         actions=jnp.zeros((episode_length, *policies.action_low.shape)),
-        env_rewards=jnp.zeros((episode_length, batch_size)),
-        lengths=jnp.zeros(batch_size, jnp.int32),
+        env_rewards=jnp.zeros((episode_length, num_episodes)),
+        lengths=jnp.zeros(num_episodes, jnp.int32),
+        slot_steps=jnp.zeros((), jnp.int32),
+    )
+    slots = Slots(
+        env_state=jax.tree.map(lambda x: x[:num_slots], initial),
+        episode=jnp.arange(num_slots),
+        time=jnp.zeros(num_slots, jnp.int32),
     )
 
-    def anybody_alive(carry: tuple[jax.Array, State, Rollout]) -> jax.Array:
-        time, env_state, _ = carry
-        return (time < episode_length) & jnp.any(env_state.done == 0)
-
-    def advance(
-        carry: tuple[jax.Array, State, Rollout],
-    ) -> tuple[jax.Array, State, Rollout]:
-        time, env_state, trajectory = carry
-        alive = env_state.done == 0
-        actions = jax.vmap(LinearPolicy.__call__)(policies, env_state.obs)
-        next_env_state = jax.vmap(env.step)(env_state, actions)
+    def advance(carry: Carry) -> Carry:
+        slots, waiting, trajectory = carry
+        episode, time = slots.episode, slots.time
+        acting = policies
+        if not all_at_once:
+            # Of an idle slot any policy will do: what comes of it is written nowhere.
+            acting = jax.tree.map(lambda x: x.at[episode].get(mode="clip"), policies)
+        actions = jax.vmap(LinearPolicy.__call__)(acting, slots.env_state.obs)
+        env_state = jax.vmap(env.step)(slots.env_state, actions)
 
         def record(buffer: jax.Array, values: jax.Array) -> jax.Array:
-            mask = alive.reshape(-1, *[1] * (values.ndim - 1))
-            return buffer.at[time].set(jnp.where(mask, values, 0.0))
+            return buffer.at[time, episode].set(values, mode="drop")
 
         trajectory = Rollout(
-            observations=record(trajectory.observations, env_state.obs),
+            observations=record(trajectory.observations, slots.env_state.obs),
             actions=record(trajectory.actions, actions),
-            env_rewards=record(trajectory.env_rewards, next_env_state.reward),
-            lengths=trajectory.lengths + alive,
+            env_rewards=record(trajectory.env_rewards, env_state.reward),
+            lengths=trajectory.lengths.at[episode].set(time + 1, mode="drop"),
+            slot_steps=trajectory.slot_steps + len(episode),
         )
-        # An episode that has ended stays ended, whatever the environment says afterwards.
-        done = jnp.maximum(env_state.done, next_env_state.done)
-        return time + 1, next_env_state.replace(done=done), trajectory
 
-    _, _, trajectory = jax.lax.while_loop(
-        anybody_alive, advance, (jnp.zeros((), jnp.int32), env_state, trajectory)
-    )
+        # Whose episode is over goes on with the next that waits, or is idle if there is none.
+        over = (episode < num_episodes) & ((env_state.done != 0) | (time + 1 == episode_length))
+        following = jnp.minimum(waiting + jnp.cumsum(over) - 1, num_episodes)
+        episode = jnp.where(over, following, episode)
+        if not all_at_once:
+            env_state = jax.tree.map(
+                lambda new, old: jnp.where(
+                    over.reshape(-1, *[1] * (old.ndim - 1)),
+                    new.at[following].get(mode="clip"),
+                    old,
+                ),
+                initial,
+                env_state,
+            )
+        idle = (episode == num_episodes).astype(env_state.done.dtype)
+        slots = Slots(env_state.replace(done=idle), episode, jnp.where(over, 0, time + 1))
+        return slots, jnp.minimum(waiting + jnp.sum(over), num_episodes), trajectory
+
+    def num_busy(carry: Carry) -> jax.Array:
+        return jnp.sum(carry[0].episode < num_episodes)
+
+    carry = (slots, jnp.array(num_slots), trajectory)
+    if not all_at_once and (narrow := num_slots // NARROWING):
+        carry = jax.lax.while_loop(
+            lambda carry: (carry[1] < num_episodes) | (num_busy(carry) > narrow), advance, carry
+        )
+        slots, *rest = carry
+        busy_first = jnp.argsort(slots.episode == num_episodes, stable=True)
+        carry = (jax.tree.map(lambda x: x[busy_first[:narrow]], slots), *rest)
+    *_, trajectory = jax.lax.while_loop(lambda carry: num_busy(carry) > 0, advance, carry)
     return trajectory

@@ -12,10 +12,9 @@ from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.ailsrs import (
     Ailsrs,
     AilsrsSettings,
-    discriminator_inputs,
-    distance_features,
     make_ailsrs,
 )
+from ailsrs_jax.trainers.expert import distance_features
 from ailsrs_jax.trainers.rollout import Rollout
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
@@ -123,12 +122,14 @@ def test_reward_of_a_rollout_in_closed_form(
     lengths = np.array([1, 49, 50, 51, 120])
     observations = np.random.default_rng(0).normal(size=(120, 5, 2)).astype(np.float32)
     actions = np.random.default_rng(1).normal(size=(120, 5, 1)).astype(np.float32)
-    episodes = Rollout(*map(jnp.asarray, (observations, actions, actions[..., 0], lengths)))
+    episodes = Rollout(
+        *map(jnp.asarray, (observations, actions, actions[..., 0], lengths, lengths.sum()))
+    )
     returns = trainer._imitation_returns(parameters, episodes)
     logit = functools.partial(trainer.network.apply, parameters)
     for index, length in enumerate(lengths):
-        inputs = discriminator_inputs(
-            trainer.expert.statistics, observations[:length, index], actions[:length, index]
+        inputs = trainer.expert.discriminator_inputs(
+            observations[:length, index], actions[:length, index]
         )
         rewards = -np.log1p(-jax.nn.sigmoid(logit(inputs)))
         expected = rewards.mean() if reduction == "mean" else rewards.sum()
@@ -154,7 +155,7 @@ def test_step_size_decays_linearly(trainer: Ailsrs) -> None:
 def test_distance_sees_the_length_of_episodes() -> None:
     inputs = jax.random.normal(jax.random.key(0), (6, EPISODE_LENGTH, 3))
     lengths = jnp.full(6, 20)
-    features = distance_features(jax.random.key(1), inputs, lengths, EPISODE_LENGTH, SMALL)
+    features = distance_features(jax.random.key(1), inputs, lengths, EPISODE_LENGTH, 100)
     absorbed = features[:, -1] > 0
     np.testing.assert_allclose(absorbed.mean(), 1 - 20 / EPISODE_LENGTH, atol=0.15)
     assert not features[absorbed, :-1].any()

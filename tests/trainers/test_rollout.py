@@ -55,9 +55,9 @@ def test_vmap_is_the_same_as_one_by_one(point_mass: PointMass) -> None:
     together = jax.jit(jax.vmap(simulate))(policies, keys)
     for index in range(3):
         alone = jax.jit(simulate)(jax.tree.map(lambda x, i=index: x[i], policies), keys[index])
-        jax.tree.map(
-            lambda x, y, i=index: np.testing.assert_allclose(x[i], y, atol=1e-6), together, alone
-        )
+        for name in ("observations", "actions", "env_rewards", "lengths"):
+            mine = getattr(together, name)[index]
+            np.testing.assert_allclose(mine, getattr(alone, name), atol=1e-6)
 
 
 def test_vmap_over_one_argument_only(point_mass: PointMass) -> None:
@@ -66,6 +66,34 @@ def test_vmap_over_one_argument_only(point_mass: PointMass) -> None:
     together = jax.vmap(lambda keys: rollout(point_mass, policies, keys, 5))(keys)
     assert together.observations.shape == (3, 5, 2, 2)
     assert together.lengths.shape == (3, 2)
+
+
+@pytest.mark.parametrize("batch_size", [1, 3, 8, 16, 39])
+def test_slots_are_refilled_and_the_episodes_are_the_same(
+    batch_size: int, point_mass: PointMass
+) -> None:
+    forces = jnp.linspace(-1.0, 1.0, 40)  # some leave the field soon, some late, some never
+    policies, keys = constant_force(forces), jax.random.split(jax.random.key(5), 40)
+    plain = jax.jit(lambda: rollout(point_mass, policies, keys, 60))()
+    packed = jax.jit(lambda: rollout(point_mass, policies, keys, 60, batch_size))()
+    assert int(plain.lengths.min()) < 20 < 60 == int(plain.lengths.max())
+    assert int(plain.slot_steps) == 40 * 60
+    assert int(plain.env_steps) == int(packed.env_steps) <= int(packed.slot_steps)
+    utilization = float(packed.env_steps / packed.slot_steps)
+    assert utilization > (0.85 if batch_size <= 8 else 0.65)
+    for name in ("observations", "actions", "env_rewards", "lengths"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(packed, name))
+
+
+def test_slots_are_shared_by_what_vmap_merges(point_mass: PointMass) -> None:
+    policies = jax.vmap(constant_force)(jnp.array([[0.0, 1.0, -1.0], [-0.5, 0.3, 0.9]]))
+    keys = jax.random.split(jax.random.key(0), (2, 3))
+    plain, packed = (
+        jax.vmap(lambda p, k, size=size: rollout(point_mass, p, k, 50, size))(policies, keys)
+        for size in (None, 4)
+    )
+    np.testing.assert_array_equal(plain.observations, packed.observations)
+    assert packed.slot_steps.tolist() == [packed.slot_steps[0]] * 2
 
 
 def test_stops_when_nobody_is_alive(point_mass: PointMass) -> None:

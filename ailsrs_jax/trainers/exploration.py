@@ -1,0 +1,54 @@
+"""The episodes of one iteration of random search."""
+
+import jax
+import jax.numpy as jnp
+
+from ailsrs_jax.components import random_search
+from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers.devices import Devices
+from ailsrs_jax.trainers.rollout import Rollout, rollout
+
+
+def explore(
+    env: Env,
+    policy: LinearPolicy,
+    deltas: jax.Array,
+    key: jax.Array,
+    *,
+    noise_std: float | jax.Array,
+    num_evaluation_episodes: int,
+    episode_length: int,
+    devices: Devices,
+    batch_size: int | None,
+) -> tuple[Rollout, Rollout]:
+    """Roll out the perturbed policies and, in the same batch, the unperturbed one.
+
+    Args:
+        env: the environment.
+        policy: the unperturbed policy.
+        deltas: ``(N, p, n)`` unit noise, the same on all devices.
+        key: of the initial states.
+        noise_std: ν.
+        num_evaluation_episodes: E, episodes of the unperturbed policy.
+        episode_length: T.
+        devices: each perturbs along its own N' of the N directions, and evaluates on its own.
+        batch_size: simulations of a device at a time; by default all.
+
+    Returns:
+        2N' episodes, those of ``M + ν δ`` first, then those of ``M − ν δ``; and E.
+    """
+    perturbed = random_search.perturb(policy.weights, devices.mine(deltas), noise_std)
+    unperturbed = jnp.tile(policy.weights, (num_evaluation_episodes, 1, 1))
+    evaluation_key, exploration_key = jax.random.split(key)
+    evaluation_keys = jax.random.split(evaluation_key, num_evaluation_episodes)
+    exploration_keys = devices.mine(jax.random.split(exploration_key, (2, len(deltas))), axis=1)
+    batch = rollout(
+        env,
+        # The unperturbed policy first: it often lives the longest.
+        policy.with_weights(jnp.concatenate([unperturbed, perturbed])),
+        jnp.concatenate([evaluation_keys, exploration_keys.ravel()]),
+        episode_length,
+        batch_size,
+    )
+    return batch.episodes(num_evaluation_episodes), batch.episodes(0, num_evaluation_episodes)

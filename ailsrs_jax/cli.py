@@ -1,10 +1,12 @@
-"""The command line: ``ailsrs train | evaluate | demonstrate | expert``.
+"""The command line: ``ailsrs train | evaluate | demonstrate | expert | benchmark``.
 
 Whatever takes long to import is imported by the command that needs it, so that help and mistakes
 answer at once.
 """
 
+import dataclasses
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -41,8 +43,10 @@ def train(
     preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
     settings: Settings = (),
     physics: PhysicsName = "auto",
+    rollout_batch_size: int | None = None,
     output: Path | None = None,
     resume: bool = False,
+    distributed: bool = False,
 ) -> None:
     """Train a linear policy to imitate demonstrations.
 
@@ -57,18 +61,35 @@ def train(
         preset: Settings found to work on the task, or the paper's Table I.
         settings: Settings to change; a wrong name lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
+        rollout_batch_size: Simulations of a device at a time, for less memory; same results.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Go on from the newest checkpoint in the output directory.
+        distributed: One run on the devices of all processes of a SLURM, Open MPI, Kubernetes or
+            Cloud TPU job, each of which is started with the same command.
     """
     from ailsrs_jax.plotting import plot_training_curve
     from ailsrs_jax.progress import RunProgress
     from ailsrs_jax.runs import run
+    from ailsrs_jax.runs.devices import is_first_process, join_processes
     from ailsrs_jax.runs.evaluation import evaluate
+
+    if distributed:
+        if output is None:
+            raise UserError("--distributed needs --output, a directory that all processes see")
+        join_processes()
+        console.quiet = not is_first_process()
 
     assignments = _assignments(settings, iterations)
     chosen = [seed for group in seeds for seed in group] or [0]
     plan = run.make_plan(
-        env, demonstrations, num_trajectories, chosen, preset, physics, assignments
+        env,
+        demonstrations,
+        num_trajectories,
+        chosen,
+        preset,
+        physics,
+        assignments,
+        rollout_batch_size,
     )
     config = plan.config
     if resume and output is None:
@@ -77,7 +98,8 @@ def train(
     console.print(
         f"[bold]{config.env_id}[/] · {config.num_trajectories} demonstrations "
         f"{escape(config.demonstrations)} · preset {preset} · seeds {' '.join(map(str, chosen))}\n"
-        f"physics {config.physics} ({plan.physics_reason}) · {escape(str(output))}",
+        f"physics {config.physics} ({plan.physics_reason}) · "
+        f"{_count(plan.devices.count, 'device')} · {escape(str(output))}",
         highlight=False,
         soft_wrap=True,
     )
@@ -89,6 +111,8 @@ def train(
             f"interrupted; the same command with --output {escape(str(output))} --resume goes on"
         )
         sys.exit(130)
+    if not is_first_process():
+        return
 
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     for seed, policy in result.policies.items():
@@ -229,6 +253,54 @@ def expert(
     )
 
 
+@app.command
+def benchmark(
+    envs: Positional[tuple[EnvName, ...]] = ("halfcheetah",),
+    physics: Annotated[tuple[str, ...], arg(metavar="mjx|mujoco ...")] = ("mjx", "mujoco"),
+    num_directions: int = 320,
+    episode_length: int = 1000,
+    repeats: int = 3,
+    as_json: Annotated[bool, arg(name="json")] = False,
+) -> None:
+    """Measure bare physics, rollouts, training steps and the peers that are installed.
+
+    Example: ailsrs benchmark halfcheetah hopper --num-directions 32
+
+    Args:
+        envs: The tasks.
+        physics: The engines.
+        num_directions: Directions; twice as many policies are simulated.
+        episode_length: Steps of an episode.
+        repeats: Turns that the stages take; the median counts.
+        as_json: Print JSON.
+    """
+    from ailsrs_jax.envs.physics import choose_engine
+    from ailsrs_jax.envs.registry import resolve_env_id
+    from ailsrs_jax.progress import print_benchmark
+    from ailsrs_jax.runs.benchmark import Row, benchmark
+
+    if min(num_directions, episode_length, repeats) < 1:
+        raise UserError("directions, episode length and repeats must be at least 1")
+    env_ids = [resolve_env_id(env) for env in envs]
+    engines = [choose_engine(engine)[0] for engine in physics]
+    rows: list[Row] = []
+    ratios: dict[str, float] = {}
+    with console.status("measuring") as status:
+        for done in benchmark(env_ids, engines, num_directions, episode_length, repeats):
+            rows += done.rows
+            ratios |= done.ratios
+            status.update(f"measured {rows[-1].env} {rows[-1].physics} {rows[-1].stage}")
+    if as_json:
+        rows_as_json = [dataclasses.asdict(row) for row in rows]
+        print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))
+    else:
+        print_benchmark(console, rows, ratios)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def _assignments(groups: tuple[tuple[str, ...], ...], iterations: int | None) -> dict[str, str]:
     assignments = {} if iterations is None else {"num_iterations": str(iterations)}
     for text in (text for group in groups for text in group):
@@ -241,6 +313,9 @@ def _assignments(groups: tuple[tuple[str, ...], ...], iterations: int | None) ->
 
 def main() -> None:
     """Run the command line; a user's mistake is one line on standard error and exit code 2."""
+    # XLA, as it takes a program from the cache, prints pages about processor features that only
+    # tell the compiler what to prefer.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         app.cli(prog="ailsrs", description=__doc__.splitlines()[0])
     except KeyboardInterrupt:

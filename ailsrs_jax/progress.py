@@ -1,4 +1,6 @@
-"""The live line of a run in the terminal, or a plain one now and then in a log."""
+"""What a person sees of a run: a live line, or a plain one now and then in a log; and tables."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Console
@@ -10,7 +12,9 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 
+from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.tracking import IterationReport
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
@@ -31,6 +35,7 @@ class RunProgress:
             disable=not self._live,
         )
         self._task: TaskID | None = None
+        self._begun = False
 
     def __enter__(self) -> "RunProgress":
         self._progress.start()
@@ -43,6 +48,9 @@ class RunProgress:
         """Show one iteration."""
         done, total = report.iteration + 1, report.num_iterations
         text = describe(report)
+        if not self._begun:
+            self._console.print(f"compiled in {report.compile_seconds:.1f} s", highlight=False)
+            self._begun = True
         if self._live:
             if self._task is None:
                 self._task = self._progress.add_task(text, total=total, completed=report.iteration)
@@ -63,3 +71,24 @@ def describe(report: IterationReport) -> str:
     steps = float(np.mean(metrics["env_steps"])) / 1e6
     speed = report.env_steps_per_second / 1e3
     return f"{text} · {steps:.2f} M steps · {speed:.1f} k/s"
+
+
+def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, float]) -> None:
+    """The table of ``ailsrs benchmark``, and that of the ratios."""
+    columns = ("environment", "physics", "stage", "steps/s", "compiled in", "memory", "utilization")
+    table = Table(*columns, box=None)
+    for row in rows:
+        table.add_row(
+            row.env,
+            row.physics,
+            row.stage,
+            f"{row.env_steps_per_s:,.0f}",
+            "" if row.compile_s is None else f"{row.compile_s:.1f} s",
+            f"{row.peak_memory_mb:,.0f} MB",
+            "" if row.utilization is None else f"{row.utilization:.2f}",
+        )
+    console.print(table)
+    table = Table("ratio of speeds", "", box=None)
+    for name, ratio in ratios.items():
+        table.add_row(name, f"{ratio:.2f}")
+    console.print(table)

@@ -68,6 +68,11 @@ class MujocoTask(Env):
         return int(self.physics.model.nu)
 
     @property
+    def ends_early(self) -> bool:
+        """Whether an episode can end before its time limit."""
+        return type(self)._terminated is not MujocoTask._terminated
+
+    @property
     def backend(self) -> str:
         """The physics engine's name."""
         return self.physics.name

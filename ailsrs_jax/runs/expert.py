@@ -1,6 +1,5 @@
 """Training an expert on the environment's reward."""
 
-import time
 from pathlib import Path
 
 import jax
@@ -10,9 +9,10 @@ from ailsrs_jax.data.files import require_writable
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs.registry import make_env, resolve_env_id
 from ailsrs_jax.runs.config import require_seed
+from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.presets import EXPERTS
 from ailsrs_jax.runs.run import Watch, saved_policy
-from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.ars import Ars
 from ailsrs_jax.trainers.settings import override
 
@@ -33,23 +33,21 @@ def train_expert(
     env_id = resolve_env_id(env)
     require_seed(seed)
     settings = override(EXPERTS[env_id], assignments)
-    trainer = Ars(make_env(env_id, physics), settings)
+    set_up_jax()
+    task = make_env(env_id, physics)
+    trainer = Ars(
+        task, settings, choose_devices(task, settings.num_directions), choose_batch_size(task)
+    )
     require_writable(output)
-    update = jax.jit(trainer.update)
-    state = jax.jit(trainer.init)(jax.random.key(seed))
-    env_steps = 0
+    seeds, env_steps = np.array([seed], np.int32), np.zeros(1, np.int64)
+    start = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))(seeds)
+    kept = start.kept
     try:
-        for iteration in range(settings.num_iterations):
-            started = time.perf_counter()
-            state, device_metrics = update(state)
-            metrics = {name: np.asarray(value)[None] for name, value in device_metrics.items()}
-            live_steps = int(metrics["env_steps"][0])
-            env_steps += live_steps
+        for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):
+            kept = state.kept
             if watch is not None:
-                speed = live_steps / (time.perf_counter() - started)
-                metrics["env_steps"] = np.array([env_steps])
-                watch(IterationReport(iteration, settings.num_iterations, metrics, speed))
+                watch(report)
     finally:  # also when interrupted: what was found is not lost
-        policy = saved_policy(state.kept.policy, env_id)
+        policy = saved_policy(jax.tree.map(lambda x: x[0], kept.policy), env_id)
         policy.save(output)
     return policy

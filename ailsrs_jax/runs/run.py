@@ -1,14 +1,12 @@
 """One run: several seeds of AILSRS on one task, from demonstrations to saved policies."""
 
 import dataclasses
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.policy import LinearPolicy
@@ -25,9 +23,17 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.devices import (
+    choose_batch_size,
+    choose_devices,
+    is_first_process,
+    set_up_jax,
+)
+from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
+from ailsrs_jax.trainers.devices import Devices
 from ailsrs_jax.trainers.settings import override
 
 CHECKPOINT_EVERY = 10  # iterations
@@ -44,6 +50,8 @@ class Plan:
     env: MujocoTask
     demonstrations: Demonstrations
     physics_reason: str
+    devices: Devices
+    rollout_batch_size: int | None  # simulations of a device at a time; None for all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +74,7 @@ def train(
     physics: str = "auto",
     output: str | Path | None = None,
     resume: bool = False,
+    rollout_batch_size: int | None = None,
     watch: Watch | None = None,
     **settings: Any,
 ) -> Result:
@@ -81,6 +90,8 @@ def train(
         physics: ``auto``, ``mjx`` or ``mujoco``.
         output: a run directory to write; without it nothing is written.
         resume: go on from the newest checkpoint in ``output``.
+        rollout_batch_size: simulations of a device at a time, for less memory; the results stay
+            the same. By default all, or what is fastest.
         watch: called after every iteration.
         settings: fields of :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings` to change.
 
@@ -88,7 +99,16 @@ def train(
         UserError: something handed in is wrong.
     """
     assignments = {name: str(value) for name, value in settings.items()}
-    plan = make_plan(env, demonstrations, num_trajectories, seeds, preset, physics, assignments)
+    plan = make_plan(
+        env,
+        demonstrations,
+        num_trajectories,
+        seeds,
+        preset,
+        physics,
+        assignments,
+        rollout_batch_size,
+    )
     return execute(plan, Path(output) if output else None, resume=resume, watch=watch)
 
 
@@ -100,13 +120,17 @@ def make_plan(
     preset: str,
     physics: str,
     assignments: dict[str, str],
+    rollout_batch_size: int | None = None,
 ) -> Plan:
     """Check everything that a run is given, before anything is written or computed.
 
     Raises:
         UserError: something is wrong.
     """
+    set_up_jax()
     env_id = resolve_env_id(env)
+    if rollout_batch_size is not None and rollout_batch_size < 1:
+        raise UserError(f"rollout_batch_size is {rollout_batch_size}: it must be at least 1")
     seeds = [int(seed) for seed in seeds]
     if not seeds or len(set(seeds)) < len(seeds):
         raise UserError(f"seeds are {seeds}: give one or more different ones")
@@ -137,7 +161,11 @@ def make_plan(
         preset=preset,
         settings=settings,
     )
-    return Plan(config, task, demonstrations, reason)
+    devices = choose_devices(task, settings.num_directions)
+    devices.require_share(settings.num_directions)
+    if rollout_batch_size is None:
+        rollout_batch_size = choose_batch_size(task)
+    return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
 
 
 def execute(
@@ -153,14 +181,12 @@ def execute(
         _prepare_directory(output, config, resume)
     elif resume:
         raise UserError("resume needs output, the directory of the run to go on with")
-    trainer = make_ailsrs(plan.env, plan.demonstrations, settings)
-    update = jax.jit(jax.vmap(trainer.update))
-    keys = jax.vmap(jax.random.key)(jnp.array(config.seeds))
-    # The state and, exact beyond what int32 can count, the steps simulated so far.
-    progress = {
-        "state": jax.jit(jax.vmap(trainer.init))(keys),
-        "steps": np.zeros(len(keys), np.int64),
-    }
+    trainer = make_ailsrs(
+        plan.env, plan.demonstrations, settings, plan.devices, plan.rollout_batch_size
+    )
+    init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
+    seeds = np.array(config.seeds, np.int32)
+    progress = {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}
     num_done = 0
 
     with ExitStack() as stack:
@@ -168,36 +194,35 @@ def execute(
         if output is not None:
             checkpoints = stack.enter_context(Checkpoints(output / "checkpoints", CHECKPOINT_EVERY))
             num_done, progress = checkpoints.restore(progress)
-            metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
+            if is_first_process():
+                metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
 
-        state, env_steps = progress["state"], np.asarray(progress["steps"])
-        for iteration in range(num_done, settings.num_iterations):
-            started = time.perf_counter()
-            state, device_metrics = update(state)
-            metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
-            live_steps = metrics["env_steps"].astype(np.int64)
-            env_steps = env_steps + live_steps
-            report = IterationReport(
-                iteration=iteration,
-                num_iterations=settings.num_iterations,
-                metrics=metrics | {"env_steps": env_steps},
-                env_steps_per_second=live_steps.sum() / (time.perf_counter() - started),
-            )
-            if metrics_file is not None and checkpoints is not None:
+        state = progress["state"]
+        for state, report in iterate(
+            trainer.update,
+            progress["state"],
+            np.asarray(progress["steps"]),
+            num_done,
+            settings.num_iterations,
+        ):
+            if metrics_file is not None:
                 metrics_file.append(report)
-                checkpoints.save(iteration + 1, {"state": state, "steps": env_steps})
+            if checkpoints is not None:
+                steps = report.metrics["env_steps"]
+                checkpoints.save(
+                    report.iteration + 1,
+                    {"state": state, "steps": steps},
+                    force=report.iteration + 1 == settings.num_iterations,
+                )
             if watch is not None:
                 watch(report)
-        if checkpoints is not None:
-            done = settings.num_iterations
-            checkpoints.save(done, {"state": state, "steps": env_steps}, force=True)
 
     kept = jax.tree.map(np.asarray, state.kept)
     policies = {
         seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
         for index, seed in enumerate(config.seeds)
     }
-    if output is not None:
+    if output is not None and is_first_process():
         for seed, policy in policies.items():
             policy.save(output / f"seed_{seed}" / "policy.npz")
     return Result(
@@ -217,6 +242,7 @@ def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
     config_path = output / "config.json"
     if resume:
         config.require_same(config_path)
+    if resume or not is_first_process():
         return
     try:
         occupied = output.exists() and (not output.is_dir() or any(output.iterdir()))

@@ -20,6 +20,7 @@ class IterationReport:
     num_iterations: int
     metrics: Mapping[str, np.ndarray]  # (seeds,) each; env_steps since the start of the run
     env_steps_per_second: float  # of all seeds together, in this iteration
+    compile_seconds: float  # spent before the first iteration
 
 
 class MetricsFile:

@@ -1,0 +1,79 @@
+"""What a run computes on, and how JAX is set up for it."""
+
+import contextlib
+import os
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.demonstrate import cache_directory
+from ailsrs_jax.trainers.devices import AXIS, ONE_DEVICE, Devices
+
+# Simulations of a CPU core at a time. More make better use of its vector units, fewer leave less
+# to wait for when the last episodes of an iteration are still alive (experiments/packing.py).
+CPU_BATCH_SIZE = 48
+
+
+def set_up_jax() -> None:
+    """Make every CPU core a device, and keep compiled programs for the next run.
+
+    Neither if the user has chosen already. Programs that call MuJoCo's C engine are not kept: JAX
+    cannot store a callback.
+    """
+    if jax.config.values["jax_compilation_cache_dir"] is None:
+        jax.config.update("jax_compilation_cache_dir", str(cache_directory() / "xla"))
+    chosen = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
+    if jax.config.values["jax_num_cpu_devices"] < 0 and not chosen:
+        with contextlib.suppress(RuntimeError):  # JAX has started: too late
+            jax.config.update("jax_num_cpu_devices", available_cores())
+
+
+def join_processes() -> None:
+    """Make this one of the processes of a SLURM, Open MPI, Kubernetes or Cloud TPU job.
+
+    Raises:
+        UserError: there is no such job around, or its processes do not find one another.
+    """
+    try:
+        jax.distributed.initialize()
+    except (ValueError, RuntimeError) as error:
+        raise UserError(f"cannot join the processes of a job: {error}") from error
+
+
+def is_first_process() -> bool:
+    """Whether this process writes and prints for all of them."""
+    return jax.process_index() == 0
+
+
+def choose_devices(env: Env, num_directions: int) -> Devices:
+    """All devices, of all processes, or as many as can share the directions evenly.
+
+    MuJoCo's C engine uses all cores of a process by itself, so there one device of each.
+    """
+    if isinstance(env, MujocoTask) and env.physics.name == "mujoco":
+        of_each_process = {device.process_index: device for device in reversed(jax.devices())}
+        devices = [of_each_process[index] for index in sorted(of_each_process)]
+    else:
+        devices = jax.devices()
+    if jax.process_count() == 1:  # else each has to take part
+        while num_directions % len(devices):
+            devices = devices[:-1]
+    return Devices(Mesh(np.array(devices), (AXIS,))) if len(devices) > 1 else ONE_DEVICE
+
+
+def choose_batch_size(env: Env) -> int | None:
+    """Simulations of a device at a time; None for all.
+
+    Where episodes can end early and every simulation costs the same, ended or not: on CPU cores
+    with physics in JAX.
+    """
+    if jax.default_backend() != "cpu":
+        return None
+    if isinstance(env, MujocoTask) and (env.physics.name == "mujoco" or not env.ends_early):
+        return None
+    return CPU_BATCH_SIZE

@@ -1,0 +1,111 @@
+"""What else steps these tasks, measured for ``ailsrs benchmark``.
+
+Each function returns environment steps per second, the best of the ways in which its package does
+it.
+"""
+
+import dataclasses
+import functools
+import importlib.util
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ailsrs_jax.envs.mujoco_task import without_warnings
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.registry import short_name
+
+SECONDS = 3.0  # that a configuration of a vector environment is stepped for
+
+
+def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
+    """Brax's augmented random search on Brax's own MJX task of the same name, on all devices."""
+    import brax.envs
+    from brax.training.agents.ars import train as ars
+
+    speeds: list[float] = []
+    num_epochs = 3  # the first compiles
+    ars.train(
+        brax.envs.get_environment(short_name(env_id), backend="mjx"),
+        num_timesteps=num_epochs * 2 * num_directions * episode_length,
+        episode_length=episode_length,
+        number_of_directions=num_directions,
+        top_directions=num_directions,
+        normalize_observations=True,
+        num_eval_envs=1,
+        num_evals=num_epochs,
+        progress_fn=lambda _, metrics: speeds.append(float(metrics["training/sps"])),
+    )
+    return max(speeds[1:])
+
+
+def gymnasium_vector(env_id: str) -> float:
+    """Gymnasium's vector environment with a process for each core, or in this one if faster."""
+    import gymnasium
+
+    speeds = []
+    with without_warnings():
+        for mode in ("async", "sync"):
+            envs = gymnasium.make_vec(env_id, available_cores(), vectorization_mode=mode)
+            envs.reset(seed=0)
+            step = functools.partial(envs.step, envs.action_space.sample())
+            speeds.append(_rate(step, envs.num_envs))
+            envs.close()
+    return max(speeds)
+
+
+def envpool(env_id: str) -> float:
+    """EnvPool with a thread for each core, synchronous or not, in batches of several sizes."""
+    import envpool as pool
+
+    speeds = []
+    for num_envs, batch_size in ((16, 16), (64, 64), (64, 32), (256, 128)):
+        envs = pool.make(
+            env_id,
+            env_type="gymnasium",
+            num_envs=num_envs,
+            batch_size=batch_size,
+            num_threads=available_cores(),
+        )
+        envs.async_reset()
+        actions = np.stack([envs.action_space.sample() for _ in range(batch_size)])
+
+        def step(envs: Any = envs, actions: np.ndarray = actions) -> None:
+            *_, info = envs.recv()
+            envs.send(actions, info["env_id"])
+
+        speeds.append(_rate(step, batch_size))
+        envs.close()
+    return max(speeds)
+
+
+def _rate(step: Callable[[], Any], steps_in_a_call: int) -> float:
+    for _ in range(10):
+        step()
+    calls, started = 0, time.perf_counter()
+    while time.perf_counter() < started + SECONDS:
+        step()
+        calls += 1
+    return calls * steps_in_a_call / (time.perf_counter() - started)
+
+
+@dataclasses.dataclass(frozen=True)
+class Peer:
+    """Something to compare with."""
+
+    package: str
+    physics: str
+    measure: Callable[[str, int, int], float]  # of a task, directions and episode length
+
+    def is_installed(self) -> bool:
+        """Whether its package can be imported."""
+        return importlib.util.find_spec(self.package) is not None
+
+
+PEERS = {
+    "brax_ars": Peer("brax", "mjx", brax_ars),
+    "gymnasium": Peer("gymnasium", "mujoco", lambda env_id, *_: gymnasium_vector(env_id)),
+    "envpool": Peer("envpool", "mujoco", lambda env_id, *_: envpool(env_id)),
+}

@@ -1,0 +1,66 @@
+"""One run on two processes, which find one another on the loopback as tasks of a SLURM job would."""
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ailsrs_jax.runs.tracking import read_rows
+
+COMMAND = (
+    "train swimmer --iterations 2 --seeds 0 5 --num-trajectories 2 --physics mujoco --set "
+    "num_directions=4 num_top_directions=2 episode_length=30 memory_samples=80"
+).split()
+
+
+def start(output: Path, *flags: str, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "ailsrs_jax", *COMMAND, "--output", str(output), *flags],
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> str:
+    output, _ = process.communicate(timeout=240)
+    assert process.returncode == 0, output
+    return output
+
+
+def test_two_processes_are_one_run(tmp_path: Path) -> None:
+    job = {
+        "SLURM_JOB_ID": str(random.randrange(10**6)),  # JAX takes its port from this
+        "SLURM_STEP_NODELIST": "localhost",
+        "SLURM_NTASKS": "2",
+    }
+    together, alone = tmp_path / "together", tmp_path / "alone"
+    processes = [
+        start(together, "--distributed", **job, SLURM_PROCID=rank, SLURM_LOCALID=rank)
+        for rank in ("0", "1")
+    ]
+    first, second = map(finish, processes)
+    assert "2 devices" in first
+    assert "policies, metrics" in first
+    assert "Swimmer" not in second  # only the first prints and writes
+    finish(start(alone))
+
+    header, *rows = read_rows(together / "metrics.csv")
+    _, *expected = read_rows(alone / "metrics.csv")
+    assert len(rows) == 4
+    np.testing.assert_allclose(
+        np.array(rows, float), np.array(expected, float), rtol=0.01, atol=1e-3, err_msg=str(header)
+    )
+    for seed in (0, 5):
+        ours, theirs = (np.load(run / f"seed_{seed}" / "policy.npz") for run in (together, alone))
+        np.testing.assert_allclose(ours["weights"], theirs["weights"], atol=1e-3)
+
+    # What two processes have saved, one can go on with.
+    kept = (together / "seed_5" / "policy.npz").read_bytes()
+    (together / "seed_5" / "policy.npz").unlink()
+    finish(start(together, "--resume"))
+    assert (together / "seed_5" / "policy.npz").read_bytes() == kept

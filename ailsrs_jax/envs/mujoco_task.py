@@ -80,7 +80,10 @@ class MujocoTask(Env):
             qpos_key, self._initial_qpos.shape, minval=-noise, maxval=noise
         )
         physics_state = self.physics.init(qpos, self._initial_velocity(qvel_key))
-        zeros = jax.tree.map(jnp.zeros_like, self._reward_terms(physics_state, physics_state, 0.0))
+        action = jnp.zeros(self.action_size)
+        zeros = jax.tree.map(
+            jnp.zeros_like, self._reward_terms(physics_state, physics_state, action)
+        )
         return State(
             pipeline_state=physics_state,
             obs=self._observation(physics_state),
@@ -104,7 +107,7 @@ class MujocoTask(Env):
 
     @abstractmethod
     def _reward_terms(
-        self, before: PhysicsState, after: PhysicsState, action: jax.Array | float
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         """The summands of the environment's reward, under Gymnasium's names."""
 

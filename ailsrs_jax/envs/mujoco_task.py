@@ -24,6 +24,7 @@ class MujocoTask(Env):
     There is no auto-reset: ``done`` becomes 1 when the episode ends in a terminal state, and what
     comes after is meaningless. As in Gymnasium, the time limit is not the task's business.
 
+    It is the base of tasks of one's own, too, with any model whose actuators have a ``ctrlrange``.
     A subclass gives the reward's terms and, where they differ, termination, reset noise and
     observation. Actions are not clipped here; MuJoCo clamps what reaches the actuators, and the
     control cost sees the action as given, both as in Gymnasium.

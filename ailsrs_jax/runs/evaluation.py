@@ -78,7 +78,10 @@ def _evaluate_in_gymnasium(
 ) -> Evaluation:
     env_id = resolve_env_id(policy.env_id)
     if env_id not in TASKS:
-        raise UserError(f"Gymnasium has no {env_id}: choose physics auto, mjx or mujoco")
+        raise UserError(
+            f"Gymnasium has no {env_id}: choose physics auto, mjx or mujoco, or in Python hand in "
+            "env"
+        )
     with without_warnings():
         env = gymnasium.make(env_id, max_episode_steps=episode_length)
     observation_shape, action_shape = env.observation_space.shape, env.action_space.shape

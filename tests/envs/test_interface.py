@@ -13,10 +13,12 @@ from brax.envs import fast
 from brax.envs.wrappers import training
 from flax import struct
 
+from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs import State
 from ailsrs_jax.envs.interface import env_name, env_sizes, require_env
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.rollout import action_range, rollout
 from tests.point_mass import PointMass
 
 
@@ -81,8 +83,13 @@ FINE = {
 @pytest.mark.parametrize("env", FINE.values(), ids=FINE)
 def test_taken(env: Any) -> None:
     require_env(env)
-    state = env.reset(jax.random.key(0))
-    assert env_sizes(env) == (state.obs.shape[-1], env.action_size)
+    n, p = env_sizes(env)
+    assert (n, p) == (*env.reset(jax.random.key(0)).obs.shape, env.action_size)
+    # More episodes than slots: what was reset and what was stepped have to fit together.
+    policy = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
+    policies = policy.with_weights(jnp.ones((3, p, n)))
+    episodes = rollout(env, policies, jax.random.split(jax.random.key(1), 3), 4, batch_size=2)
+    assert episodes.lengths.tolist() == [4, 4, 4]
 
 
 def test_a_wrapped_environment_keeps_its_name() -> None:

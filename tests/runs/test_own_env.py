@@ -44,7 +44,7 @@ def test_the_whole_loop(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Brax System")
+@pytest.mark.filterwarnings("ignore:Brax System", "ignore:Accessing `")
 def test_the_whole_loop_with_simulated_physics(tmp_path: Path) -> None:
     env = envs.get_environment("inverted_pendulum", backend="mjx")
     there_and_back(env, "InvertedPendulum", "mjx", tmp_path)

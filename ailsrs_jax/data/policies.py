@@ -92,12 +92,12 @@ def expert_path(env_id: str) -> Path:
     """The file of the expert that ships with the package for ``env_id``.
 
     Raises:
-        UserError: none does.
+        UserError: none ships for this task.
     """
     path = Path(str(resources.files("ailsrs_jax.data"))) / "experts" / f"{env_id}.npz"
     if not path.is_file():
         raise UserError(
-            f"no expert of {env_id} ships with the package: hand in demonstrations, or an expert "
-            "to demonstrate, which 'ailsrs expert' trains"
+            f"no expert of {env_id} ships with the package: use --demonstrations, or make some "
+            "with 'ailsrs expert' and 'ailsrs demonstrate --expert'"
         )
     return path

@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
+    from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
     from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
     from ailsrs_jax.data.policies import load_policy as load_policy
+    from ailsrs_jax.envs.mujoco_task import MujocoTask as MujocoTask
     from ailsrs_jax.envs.registry import make_env as make_env
     from ailsrs_jax.errors import UserError as UserError
+    from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
+    from ailsrs_jax.runs.expert import train_expert as train_expert
     from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import train as train
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
@@ -27,15 +31,19 @@ _HOMES = {
     "Ars": "trainers.ars",
     "ArsSettings": "trainers.ars",
     "Demonstrations": "data.demonstrations",
+    "MujocoTask": "envs.mujoco_task",
     "SavedPolicy": "data.policies",
     "UserError": "errors",
+    "demonstrate": "runs.demonstrate",
     "evaluate": "runs.evaluation",
     "load_demonstrations": "data.demonstrations",
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
     "make_env": "envs.registry",
     "preset_settings": "runs.presets",
+    "save_demonstrations": "data.demonstrations",
     "train": "runs.run",
+    "train_expert": "runs.expert",
 }
 
 __all__ = sorted(_HOMES)

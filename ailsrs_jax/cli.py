@@ -21,7 +21,10 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.versions import VersionError
 
-EnvName = Annotated[str, arg(metavar="ENV", help="hopper, walker2d, halfcheetah or swimmer")]
+EnvName = Annotated[
+    str,
+    arg(metavar="ENV", help="hopper, walker2d, halfcheetah, swimmer, or module:attribute"),
+]
 PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
 Settings = Annotated[
@@ -94,12 +97,13 @@ def train(
     config = plan.config
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to go on with")
-    output = output or Path("runs") / f"{env}-{time.strftime('%Y%m%d-%H%M%S')}"
+    name = env.replace(":", ".")  # a colon has a meaning in paths of scp, and on Windows
+    output = output or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     console.print(
         f"[bold]{config.env_id}[/] · {config.num_trajectories} demonstrations "
         f"{escape(config.demonstrations)} · preset {preset} · seeds {' '.join(map(str, chosen))}\n"
         f"physics {config.physics} ({plan.physics_reason}) · "
-        f"{_count(plan.devices.count, 'device')} · {escape(str(output))}",
+        f"devices: {plan.devices.count} · {escape(str(output))}",
         highlight=False,
         soft_wrap=True,
     )
@@ -116,7 +120,7 @@ def train(
 
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     for seed, policy in result.policies.items():
-        final = evaluate(policy, physics=config.physics)
+        final = evaluate(policy, physics=physics)
         kept = str(result.kept_iterations[seed])
         table.add_row(str(seed), kept, f"{final.mean:.0f} ± {final.std:.0f}")
     expert = result.expert_returns
@@ -150,9 +154,10 @@ def evaluate(
         as_json: Print JSON.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
-    from ailsrs_jax.envs.physics import choose_engine
+    from ailsrs_jax.envs.registry import open_env
     from ailsrs_jax.runs import evaluation
 
+    in_gymnasium = physics == "gymnasium"
     rows: list[dict[str, Any]] = []
     for path in policy_files(policy):
         loaded = load_policy(path)
@@ -161,7 +166,7 @@ def evaluate(
             {
                 "policy": str(path),
                 "env_id": loaded.env_id,
-                "physics": physics if physics == "gymnasium" else choose_engine(physics)[0],
+                "physics": physics if in_gymnasium else open_env(loaded.env_id, physics).engine,
                 "episodes": episodes,
                 "return_mean": result.mean,
                 "return_std": result.std,
@@ -241,11 +246,11 @@ def expert(
     """
     from ailsrs_jax.progress import RunProgress
     from ailsrs_jax.runs.evaluation import evaluate
-    from ailsrs_jax.runs.expert import train_expert
+    from ailsrs_jax.runs.expert import search_expert
 
     assignments = _assignments(settings, iterations)
     with RunProgress(console) as progress:
-        policy = train_expert(env, seed, physics, assignments, output, watch=progress)
+        policy = search_expert(env, seed, physics, assignments, output, watch=progress)
     final = evaluate(policy, physics=physics)
     console.print(
         f"return {final.mean:.0f} ± {final.std:.0f} over 100 episodes, in {escape(str(output))}",
@@ -295,10 +300,6 @@ def benchmark(
         print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))
     else:
         print_benchmark(console, rows, ratios)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _assignments(groups: tuple[tuple[str, ...], ...], iterations: int | None) -> dict[str, str]:

@@ -1,5 +1,9 @@
 """Fixtures for all tests."""
 
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
 import jax
 import pytest
 
@@ -12,6 +16,20 @@ jax.config.update("jax_num_cpu_devices", 4)  # for the tests of many devices; th
 @pytest.fixture(scope="session")
 def point_mass() -> PointMass:
     return PointMass()
+
+
+@pytest.fixture
+def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty current directory; modules that are imported from it are forgotten afterwards."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    directory = tmp_path / "work"
+    directory.mkdir()
+    monkeypatch.chdir(directory)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield directory
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None)).startswith(str(directory)):
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="session")

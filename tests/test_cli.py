@@ -22,6 +22,8 @@ TINY = [
     "num_distance_samples=50",
 ]
 
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
 
 def ailsrs(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run the command line in this process and return its exit code."""
@@ -31,13 +33,6 @@ def ailsrs(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
 
 
 def broken_file(kind: str) -> Path:
@@ -80,6 +75,11 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
     "arguments",
     [
         "train hoper",
+        "train nowhere:Slider",
+        "train tests.point_mass:PointMass",
+        "train tests.point_mass:PointMass --demonstrations file --physics mjx",
+        "expert tests.point_mass:nothing --output expert.npz",
+        "demonstrate tests.point_mass:PointMass --output demonstrations.npz",
         "train hopper --preset tuned --set noise=1",
         "train hopper --set noise_std",
         "train hopper --iterations 0",
@@ -203,7 +203,7 @@ def test_a_policy_must_fit_where_it_is_evaluated(physics: str, monkeypatch, caps
         Path("policy.npz")
     )
     assert ailsrs(monkeypatch, "evaluate", "policy.npz", "--physics", physics) == 2
-    assert "weights are (2, 5): Swimmer-v5 needs (2, 8)" in capsys.readouterr().err
+    assert "weights are (2, 5): the environment needs (2, 8)" in capsys.readouterr().err
 
 
 def test_our_task_and_gymnasium_agree_on_an_expert() -> None:

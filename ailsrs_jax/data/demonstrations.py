@@ -51,7 +51,7 @@ class Demonstrations(struct.PyTreeNode):
         return jax.tree.map(lambda x: x[:num_trajectories], self)
 
 
-def save_demonstrations(demonstrations: Demonstrations, path: Path) -> None:
+def save_demonstrations(demonstrations: Demonstrations, path: str | Path) -> None:
     """Write a ``.npz`` file, whole or not at all."""
     arrays: dict[str, Any] = {name: np.asarray(getattr(demonstrations, name)) for name in FIELDS}
     write_atomically(path, lambda file: np.savez_compressed(file, **arrays))

@@ -32,7 +32,7 @@ class SavedPolicy:
         """Raise UserError unless this is a policy for so many actions and observations."""
         if self.weights.shape != (action_size, observation_size):
             raise UserError(
-                f"the policy's weights are {self.weights.shape}: {self.env_id} needs "
+                f"the policy's weights are {self.weights.shape}: the environment needs "
                 f"{(action_size, observation_size)}"
             )
 
@@ -89,5 +89,15 @@ def policy_files(path: Path) -> list[Path]:
 
 
 def expert_path(env_id: str) -> Path:
-    """The file of the expert that ships with the package for ``env_id``."""
-    return Path(str(resources.files("ailsrs_jax.data"))) / "experts" / f"{env_id}.npz"
+    """The file of the expert that ships with the package for ``env_id``.
+
+    Raises:
+        UserError: none ships for this task.
+    """
+    path = Path(str(resources.files("ailsrs_jax.data"))) / "experts" / f"{env_id}.npz"
+    if not path.is_file():
+        raise UserError(
+            f"no expert of {env_id} ships with the package: use --demonstrations, or make some "
+            "with 'ailsrs expert' and 'ailsrs demonstrate --expert'"
+        )
+    return path

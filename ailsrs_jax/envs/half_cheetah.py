@@ -32,7 +32,7 @@ class HalfCheetah(MujocoTask):
         self._ctrl_cost_weight = ctrl_cost_weight
 
     def _reward_terms(
-        self, before: PhysicsState, after: PhysicsState, action: jax.Array | float
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         velocity = self._forward_velocity(before, after)
         return {

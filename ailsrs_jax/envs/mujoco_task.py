@@ -24,6 +24,7 @@ class MujocoTask(Env):
     There is no auto-reset: ``done`` becomes 1 when the episode ends in a terminal state, and what
     comes after is meaningless. As in Gymnasium, the time limit is not the task's business.
 
+    It is the base of tasks of one's own, too, with any model whose actuators have a ``ctrlrange``.
     A subclass gives the reward's terms and, where they differ, termination, reset noise and
     observation. Actions are not clipped here; MuJoCo clamps what reaches the actuators, and the
     control cost sees the action as given, both as in Gymnasium.
@@ -85,7 +86,10 @@ class MujocoTask(Env):
             qpos_key, self._initial_qpos.shape, minval=-noise, maxval=noise
         )
         physics_state = self.physics.init(qpos, self._initial_velocity(qvel_key))
-        zeros = jax.tree.map(jnp.zeros_like, self._reward_terms(physics_state, physics_state, 0.0))
+        action = jnp.zeros(self.action_size)
+        zeros = jax.tree.map(
+            jnp.zeros_like, self._reward_terms(physics_state, physics_state, action)
+        )
         return State(
             pipeline_state=physics_state,
             obs=self._observation(physics_state),
@@ -109,7 +113,7 @@ class MujocoTask(Env):
 
     @abstractmethod
     def _reward_terms(
-        self, before: PhysicsState, after: PhysicsState, action: jax.Array | float
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         """The summands of the environment's reward, under Gymnasium's names."""
 

@@ -46,7 +46,7 @@ class PlanarWalker(MujocoTask):
         return _inside(height, self._healthy_z_range) & _inside(pitch, self._healthy_angle_range)
 
     def _reward_terms(
-        self, before: PhysicsState, after: PhysicsState, action: jax.Array | float
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         velocity = self._forward_velocity(before, after)
         return {

@@ -1,11 +1,20 @@
 """Tasks by name."""
 
+import functools
+import importlib
+import inspect
+import operator
+import sys
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.half_cheetah import HalfCheetah
 from ailsrs_jax.envs.hopper import Hopper
+from ailsrs_jax.envs.interface import env_name, one_line, require_env
 from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.swimmer import Swimmer
 from ailsrs_jax.envs.walker2d import Walker2d
 from ailsrs_jax.errors import UserError
@@ -17,6 +26,17 @@ TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Walker2d-v5": Walker2d,
 }
 
+OWN_PHYSICS = "the environment's own"
+
+
+class OpenEnv(NamedTuple):
+    """An environment and what a run writes down of it."""
+
+    env: Env
+    env_id: str
+    engine: str
+    reason: str  # for this engine, for people to read
+
 
 def short_name(env_id: str) -> str:
     """``Hopper-v5`` → ``hopper``."""
@@ -24,7 +44,7 @@ def short_name(env_id: str) -> str:
 
 
 def resolve_env_id(name: str) -> str:
-    """Return the Gymnasium id that ``name`` stands for, given as an id or as a short name.
+    """Return the id that ``name`` stands for: Gymnasium's, or ``module:attribute`` as it is.
 
     Raises:
         UserError: there is no such task.
@@ -32,26 +52,94 @@ def resolve_env_id(name: str) -> str:
     for env_id in TASKS:
         if name in (env_id, short_name(env_id)):
             return env_id
+    if ":" in name:
+        return name
     known = ", ".join(map(short_name, TASKS))
-    raise UserError(f"unknown environment '{name}': use one of {known}")
+    raise UserError(
+        f"unknown environment '{name}': use one of {known}, or module:attribute for one of your "
+        "own; or, in Python, hand in the environment itself as env"
+    )
 
 
-def make_env(name: str, physics: str = "auto", **flags: Any) -> MujocoTask:
+def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
     """Build a task.
 
     Args:
-        name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``.
+        name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``; or one's own task as
+            ``module:attribute``, a class or function that returns an environment.
         physics: ``mjx``, ``mujoco``, or ``auto``: MJX where JAX has an accelerator, else MuJoCo's
-            C engine.
-        flags: the constructor flags of the Gymnasium task.
+            C engine. One's own task receives it if it has a parameter ``physics``.
+        flags: the constructor flags of the task.
 
     Raises:
-        UserError: unknown task, engine, flag or model file.
+        UserError: unknown task, engine, flag or model file, or not an environment.
     """
     env_id = resolve_env_id(name)
+    return _make(env_id, _factory(env_id), physics, **flags)
+
+
+def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
+    """The environment called ``env``, or ``env`` itself if it is one, checked.
+
+    Raises:
+        UserError: it is unknown or cannot be trained in, or ``physics`` is not its to choose.
+    """
+    if not isinstance(env, str):
+        if physics != "auto":
+            raise UserError(f"physics '{physics}' is for tasks by name: an environment has its own")
+        require_env(env)
+        return OpenEnv(env, env_name(env), _engine(env), OWN_PHYSICS)
+    env_id, (_, reason) = resolve_env_id(env), choose_engine(physics)
+    factory = _factory(env_id)
+    if not _takes_physics(factory):
+        reason = OWN_PHYSICS
+    task = _make_once(env_id, factory, physics)
+    return OpenEnv(task, env_id, _engine(task), reason)
+
+
+def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:
     try:
-        return TASKS[env_id](physics, **flags)
-    except TypeError as error:
-        if "unexpected keyword" in str(error):
+        if _takes_physics(factory):
+            flags["physics"] = physics
+        elif physics != "auto":
+            raise UserError(f"{env_id} has no parameter physics: leave '{physics}' out")
+        env = factory(**flags)
+    except UserError:
+        raise
+    except Exception as error:
+        if env_id not in TASKS:  # whatever somebody else's code stumbles over
+            raise UserError(f"{env_id}: {one_line(error)}") from error
+        if isinstance(error, TypeError) and "unexpected keyword" in str(error):
             raise UserError(f"{env_id}: {str(error).split(') ', 1)[-1]}") from error
         raise
+    if env_id not in TASKS:
+        require_env(env)
+    return env
+
+
+# So that the policies of a run are evaluated in one environment, compiled once. The factory is in
+# the key because a module that was edited and reloaded has another one under the same name.
+_make_once = functools.lru_cache(maxsize=4)(_make)
+
+
+def _takes_physics(factory: Callable[..., Env]) -> bool:
+    return "physics" in inspect.signature(factory).parameters
+
+
+def _engine(env: Env) -> str:
+    return str(getattr(env, "backend", "jax"))
+
+
+def _factory(env_id: str) -> Callable[..., Env]:
+    """What makes the task; of one's own, the attribute of a module in the current directory."""
+    if env_id in TASKS:
+        return TASKS[env_id]
+    module_name, _, attribute = env_id.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # as for "python -m"
+    try:
+        factory = operator.attrgetter(attribute)(importlib.import_module(module_name))
+        inspect.signature(factory)
+    except Exception as error:  # somebody else's module may raise anything
+        raise UserError(f"cannot find {env_id}: {one_line(error)}") from error
+    return factory

@@ -15,9 +15,10 @@ import numpy as np
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
-from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import VERSIONED_PACKAGES, require_seed
 from ailsrs_jax.trainers.rollout import Rollout, rollout
@@ -27,60 +28,72 @@ EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 def simulate(
     policy: SavedPolicy,
-    engine: str,
+    env: Env,
     num_episodes: int,
     key: jax.Array,
     episode_length: int = EPISODE_LENGTH,
 ) -> Rollout:
-    """Roll out ``policy`` in its task; episode ``i`` does not depend on how many there are.
+    """Roll out ``policy`` in ``env``; episode ``i`` does not depend on how many there are.
 
     Raises:
-        UserError: the policy does not fit its task.
+        UserError: the policy does not fit.
     """
-    env, compiled_rollout = _simulator(policy.env_id, engine, episode_length)
-    policy.require_shape(env.action_size, env.observation_size)
+    n, p = env_sizes(env)
+    policy.require_shape(p, n)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(num_episodes))
     linear = LinearPolicy(
         *map(jnp.float32, (policy.weights, policy.mean, policy.std)),
         *map(jnp.float32, (policy.action_low, policy.action_high)),
     )
     policies = linear.with_weights(jnp.tile(linear.weights, (num_episodes, 1, 1)))
-    return compiled_rollout(policies, keys)
+    return _compiled_rollout(env, episode_length)(policies, keys)
 
 
 @functools.lru_cache(maxsize=4)
-def _simulator(
-    env_id: str, engine: str, episode_length: int
-) -> tuple[MujocoTask, Callable[[LinearPolicy, jax.Array], Rollout]]:
-    """The task and its rollout, compiled once for all the policies of a run."""
-    env = make_env(env_id, engine)
-    return env, jax.jit(lambda policies, keys: rollout(env, policies, keys, episode_length))
+def _compiled_rollout(
+    env: Env, episode_length: int
+) -> Callable[[LinearPolicy, jax.Array], Rollout]:
+    """Compiled once for all the policies of a run."""
+    return jax.jit(lambda policies, keys: rollout(env, policies, keys, episode_length))
 
 
 def demonstrate(
     policy: SavedPolicy,
     num_trajectories: int,
     *,
+    env: Env | None = None,
     physics: str = "auto",
     seed: int = 0,
     episode_length: int = EPISODE_LENGTH,
 ) -> Demonstrations:
-    """Roll out ``num_trajectories`` episodes of ``policy`` in its environment.
+    """Roll out ``num_trajectories`` episodes of ``policy``.
+
+    Args:
+        policy: the expert.
+        num_trajectories: how many episodes.
+        env: any Brax environment; without it, the task that the policy names.
+        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
+        seed: of the initial states.
+        episode_length: the time limit in environment steps.
 
     Raises:
-        UserError: no trajectories, unknown physics, a bad seed, or a policy that does not fit.
+        UserError: no trajectories, an unknown task, physics that it does not have, a bad seed, or
+            a policy that does not fit.
     """
-    if num_trajectories < 1:
-        raise UserError(f"{num_trajectories} trajectories asked for: at least one is needed")
+    if min(num_trajectories, episode_length) < 1:
+        raise UserError(
+            f"{num_trajectories} trajectories of {episode_length} steps asked for: at least one is "
+            "needed"
+        )
     require_seed(seed)
-    engine, _ = choose_engine(physics)
-    episodes = simulate(policy, engine, num_trajectories, jax.random.key(seed), episode_length)
+    task = open_env(policy.env_id if env is None else env, physics)
+    episodes = simulate(policy, task.env, num_trajectories, jax.random.key(seed), episode_length)
     return Demonstrations(
         observations=np.asarray(episodes.observations).swapaxes(0, 1),
         actions=np.asarray(episodes.actions).swapaxes(0, 1),
         lengths=np.asarray(episodes.lengths),
         returns=np.asarray(episodes.env_returns),
-        env_id=policy.env_id,
+        env_id=task.env_id,
     )
 
 

@@ -7,12 +7,12 @@ import jax
 import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.mujoco_task import without_warnings
-from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import resolve_env_id
+from ailsrs_jax.envs.registry import TASKS, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
-from ailsrs_jax.runs.demonstrate import simulate
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
 
 EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 
@@ -36,38 +36,54 @@ class Evaluation:
 
 
 def evaluate(
-    policy: SavedPolicy, num_episodes: int = 100, physics: str = "gymnasium", seed: int = 0
+    policy: SavedPolicy,
+    num_episodes: int = 100,
+    physics: str = "gymnasium",
+    seed: int = 0,
+    *,
+    env: Env | None = None,
+    episode_length: int = EPISODE_LENGTH,
 ) -> Evaluation:
-    """Measure the return of ``policy`` in its environment.
+    """Measure the return of ``policy``.
 
     Args:
         policy: the policy; it is deterministic and is applied as it is.
-        num_episodes: episodes of at most 1000 steps.
+        num_episodes: how many episodes.
         physics: ``gymnasium`` drives ``gymnasium.make(env_id)`` with the policy in NumPy; ``mjx``,
-            ``mujoco`` and ``auto`` simulate our own task.
+            ``mujoco`` and ``auto`` simulate our own task. Nothing to choose where ``env`` is given.
         seed: of the initial states.
+        env: any Brax environment; without it, the task that the policy names.
+        episode_length: the time limit in environment steps.
 
     Raises:
         UserError: unknown environment or physics, no episodes, or a policy that does not fit.
     """
-    if num_episodes < 1:
-        raise UserError(f"{num_episodes} episodes asked for: at least one is needed")
+    if min(num_episodes, episode_length) < 1:
+        raise UserError(
+            f"{num_episodes} episodes of {episode_length} steps asked for: at least one is needed"
+        )
     require_seed(seed)
-    env_id = resolve_env_id(policy.env_id)
-    if physics == "gymnasium":
-        return _evaluate_in_gymnasium(policy, env_id, num_episodes, seed)
-    engine, _ = choose_engine(physics)
+    in_gymnasium = physics == "gymnasium"
+    if in_gymnasium and env is None:
+        return _evaluate_in_gymnasium(policy, num_episodes, seed, episode_length)
+    task = open_env(policy.env_id if env is None else env, "auto" if in_gymnasium else physics)
     # Not the initial states that demonstrations of the same seed begin with.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
-    episodes = simulate(policy, engine, num_episodes, key)
+    episodes = simulate(policy, task.env, num_episodes, key, episode_length)
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 
 def _evaluate_in_gymnasium(
-    policy: SavedPolicy, env_id: str, num_episodes: int, seed: int
+    policy: SavedPolicy, num_episodes: int, seed: int, episode_length: int
 ) -> Evaluation:
+    env_id = resolve_env_id(policy.env_id)
+    if env_id not in TASKS:
+        raise UserError(
+            f"Gymnasium has no {env_id}: choose physics auto, mjx or mujoco, or in Python hand in "
+            "env"
+        )
     with without_warnings():
-        env = gymnasium.make(env_id)
+        env = gymnasium.make(env_id, max_episode_steps=episode_length)
     observation_shape, action_shape = env.observation_space.shape, env.action_space.shape
     assert observation_shape is not None
     assert action_shape is not None

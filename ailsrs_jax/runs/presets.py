@@ -41,6 +41,8 @@ _TUNED = {
     "Walker2d-v5": dataclasses.replace(_TUNED_BASE, num_iterations=120),
 }
 
+_TUNED_ELSEWHERE = dataclasses.replace(_TUNED_BASE, num_iterations=100)
+
 # Augmented random search on the environment's reward, after the settings of its paper. These made
 # the experts that ship with the package (ailsrs_jax/data/experts/README.md).
 EXPERTS = {
@@ -69,11 +71,18 @@ EXPERTS = {
 
 
 def preset_settings(env_id: str, preset: str) -> AilsrsSettings:
-    """The settings of ``preset`` for the task.
+    """The settings of ``preset`` for the task; those of a task of one's own are not tuned to it.
 
     Raises:
         UserError: there is no such preset.
     """
     if preset not in PRESETS:
         raise UserError(f"unknown preset '{preset}': use {' or '.join(PRESETS)}")
-    return (_TUNED if preset == "tuned" else _PAPER)[env_id]
+    if preset == "tuned":
+        return _TUNED.get(env_id, _TUNED_ELSEWHERE)
+    return _PAPER.get(env_id, AilsrsSettings())
+
+
+def expert_settings(env_id: str) -> ArsSettings:
+    """The settings that an expert of the task is trained with."""
+    return EXPERTS.get(env_id, ArsSettings())

@@ -16,9 +16,9 @@ from ailsrs_jax.data.demonstrations import (
     validated,
 )
 from ailsrs_jax.data.policies import SavedPolicy
-from ailsrs_jax.envs.mujoco_task import MujocoTask
-from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import make_env, resolve_env_id
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
@@ -47,7 +47,7 @@ class Plan:
     """A run that is checked and ready to start."""
 
     config: RunConfig
-    env: MujocoTask
+    env: Env
     demonstrations: Demonstrations
     physics_reason: str
     devices: Devices
@@ -65,7 +65,7 @@ class Result:
 
 
 def train(
-    env: str,
+    env: Env | str,
     demonstrations: str | Path | Demonstrations | None = None,
     *,
     num_trajectories: int | None = None,
@@ -81,13 +81,14 @@ def train(
     """Train a linear policy to imitate demonstrations.
 
     Args:
-        env: the task, ``Hopper-v5`` or ``hopper``.
+        env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
+            Brax environment.
         demonstrations: a file or demonstrations in memory; without any, those of the expert that
             ships with the package.
         num_trajectories: use the first so many; by default 10 of the shipped expert, else all.
         seeds: all are trained together, as one batched program.
         preset: ``tuned`` or ``paper``.
-        physics: ``auto``, ``mjx`` or ``mujoco``.
+        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
         output: a run directory to write; without it nothing is written.
         resume: go on from the newest checkpoint in ``output``.
         rollout_batch_size: simulations of a device at a time, for less memory; the results stay
@@ -113,7 +114,7 @@ def train(
 
 
 def make_plan(
-    env: str,
+    env: Env | str,
     demonstrations: str | Path | Demonstrations | None,
     num_trajectories: int | None,
     seeds: Sequence[int],
@@ -128,7 +129,7 @@ def make_plan(
         UserError: something is wrong.
     """
     set_up_jax()
-    env_id = resolve_env_id(env)
+    task, env_id, engine, reason = open_env(env, physics)
     if rollout_batch_size is not None and rollout_batch_size < 1:
         raise UserError(f"rollout_batch_size is {rollout_batch_size}: it must be at least 1")
     seeds = [int(seed) for seed in seeds]
@@ -137,8 +138,6 @@ def make_plan(
     for seed in seeds:
         require_seed(seed)
     settings = override(preset_settings(env_id, preset), assignments)
-    engine, reason = choose_engine(physics)
-    task = make_env(env_id, engine)
     source = "of the expert that ships with the package"
     if demonstrations is None:
         num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
@@ -253,12 +252,13 @@ def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
     config.save(config_path)
 
 
-def _require_fit(demonstrations: Demonstrations, env_id: str, env: MujocoTask) -> None:
+def _require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
     if demonstrations.env_id != env_id:
         raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
     sizes = demonstrations.observations.shape[-1], demonstrations.actions.shape[-1]
-    if sizes != (env.observation_size, env.action_size):
+    n, p = env_sizes(env)
+    if sizes != (n, p):
         raise UserError(
             f"the demonstrations have {sizes[0]} observations and {sizes[1]} actions: {env_id} "
-            f"has {env.observation_size} and {env.action_size}"
+            f"has {n} and {p}"
         )

@@ -1,8 +1,17 @@
+import importlib
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+from brax.envs.wrappers import training
 
 from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import make_env, resolve_env_id
+from ailsrs_jax.envs.registry import make_env, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
+from tests.point_mass import PointMass
 
 
 @pytest.mark.parametrize("name", ["Hopper-v5", "hopper"])
@@ -34,3 +43,128 @@ def test_wrong_engine_flag_and_model_are_the_users_mistakes(tmp_path) -> None:
     broken.write_text("<mujoco><worldbody></mujoco>")
     with pytest.raises(UserError, match="cannot read"):
         make_env("hopper", xml_file=str(broken))
+
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body>
+      <joint name="slide" type="slide" axis="1 0 0"/>
+      <geom size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <general joint="slide" {actuator}/>
+  </actuator>
+</mujoco>
+"""
+
+TASKS_OF_ONES_OWN = """
+from ailsrs_jax import MujocoTask
+from tests.point_mass import PointMass
+
+class Slider(MujocoTask):
+    def __init__(self, physics, xml_file="./slider.xml"):
+        super().__init__(physics=physics, xml_file=xml_file, frame_skip=2, reset_noise_scale=0.1,
+                         num_hidden_positions=0)
+
+    def _reward_terms(self, before, after, action):
+        return {"reward_near": -abs(after.qpos[0]), "reward_ctrl": -(action**2).sum()}
+
+class inside:
+    point_mass = PointMass
+
+def broken():
+    raise KeyError("no\\nsuch key")
+
+def nothing():
+    return None
+
+number = 3
+"""
+
+
+@pytest.fixture
+def own_tasks(in_tmp_path: Path) -> None:
+    Path("own_tasks.py").write_text(TASKS_OF_ONES_OWN)
+    Path("slider.xml").write_text(MODEL.format(actuator='ctrlrange="-1 1"'))
+    Path("syntax.py").write_text("class:")
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_ones_own_task_by_module_and_attribute() -> None:
+    for engine in ("mjx", "mujoco"):
+        task = open_env("own_tasks:Slider", engine)
+        assert task[1:] == ("own_tasks:Slider", engine, "as requested")
+    assert "no accelerator" in open_env("own_tasks:Slider").reason
+    task = open_env("own_tasks:inside.point_mass")
+    assert task[1:] == ("own_tasks:inside.point_mass", "none", "the environment's own")
+    with pytest.raises(UserError, match=r"no model file elsewhere\.xml"):
+        make_env("own_tasks:Slider", xml_file="./elsewhere.xml")
+
+
+def test_an_environment_stands_for_its_name() -> None:
+    env = PointMass()
+    assert open_env(env) == (env, "PointMass", "none", "the environment's own")
+    assert open_env(training.EpisodeWrapper(env, 5, 1)).env_id == "PointMass"
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_an_environment_is_built_once_until_its_module_changes() -> None:
+    first = open_env("own_tasks:Slider").env
+    assert open_env("own_tasks:Slider").env is first
+    importlib.reload(sys.modules["own_tasks"])
+    assert open_env("own_tasks:Slider").env is not first
+
+
+REFUSED = {
+    "nowhere:Slider": "No module named 'nowhere'",
+    "syntax:Slider": "SyntaxError",
+    ":Slider": "cannot find :Slider: ValueError",
+    "own_tasks:Glider": "has no attribute 'Glider'",
+    "own_tasks:": "has no attribute ''",
+    "own_tasks:number": "3 is not a callable object",
+    "own_tasks:broken": "own_tasks:broken: KeyError: 'no",
+    "own_tasks:nothing": "NoneType: this is not a Brax environment",
+    "own_tasks:MujocoTask": "own_tasks:MujocoTask: TypeError",
+}
+
+
+@pytest.mark.usefixtures("own_tasks")
+@pytest.mark.parametrize(("name", "message"), REFUSED.items())
+def test_names_that_lead_nowhere_are_one_line(name: str, message: str) -> None:
+    with pytest.raises(UserError) as caught:
+        open_env(name)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_physics_is_not_chosen_where_there_is_none_to_choose() -> None:
+    with pytest.raises(UserError, match="has no parameter physics: leave 'mjx' out"):
+        open_env("own_tasks:inside.point_mass", "mjx")
+    with pytest.raises(UserError, match="an environment has its own"):
+        open_env(PointMass(), "mjx")
+    with pytest.raises(UserError, match="unknown physics 'bullet'"):
+        open_env("own_tasks:inside.point_mass", "bullet")
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_an_actuator_needs_a_range() -> None:
+    Path("slider.xml").write_text(MODEL.format(actuator=""))
+    with pytest.raises(UserError, match="every actuator a ctrlrange"):
+        open_env("own_tasks:Slider")
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_actuators_with_a_state_are_for_the_c_engine() -> None:
+    actuator = 'ctrlrange="-1 1" dyntype="integrator" actlimited="true" actrange="-1 1"'
+    Path("slider.xml").write_text(MODEL.format(actuator=actuator))
+    with pytest.raises(UserError, match="use physics mujoco"):
+        make_env("own_tasks:Slider", "mjx")
+    env = make_env("own_tasks:Slider", "mujoco")
+    state = env.reset(jax.random.key(0))
+    for _ in range(3):
+        velocity, state = state.obs[1], env.step(state, jnp.ones(1))
+    # Two steps of 2 ms each time; the integrated control is the force on a kilogram.
+    np.testing.assert_allclose(state.obs[1] - velocity, 0.002 * (0.008 + 0.010), rtol=0.01)

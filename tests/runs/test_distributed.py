@@ -1,4 +1,4 @@
-"""One run on two processes, which find one another on the loopback as tasks of a SLURM job would."""
+"""One run on two processes, which find one another as the tasks of a SLURM job do."""
 
 import os
 import random
@@ -10,15 +10,14 @@ import numpy as np
 
 from ailsrs_jax.runs.tracking import read_rows
 
-COMMAND = (
-    "train swimmer --iterations 2 --seeds 0 5 --num-trajectories 2 --physics mujoco --set "
-    "num_directions=4 num_top_directions=2 episode_length=30 memory_samples=80"
-).split()
+COMMAND = "train swimmer --iterations 2 --seeds 0 5 --num-trajectories 2 --physics mujoco --set"
+SETTINGS = "num_directions=4 num_top_directions=2 episode_length=30 memory_samples=80"
 
 
 def start(output: Path, *flags: str, **environment: str) -> subprocess.Popen[str]:
+    arguments = [*COMMAND.split(), *SETTINGS.split(), "--output", str(output), *flags]
     return subprocess.Popen(
-        [sys.executable, "-m", "ailsrs_jax", *COMMAND, "--output", str(output), *flags],
+        [sys.executable, "-m", "ailsrs_jax", *arguments],
         env=os.environ | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -44,7 +43,7 @@ def test_two_processes_are_one_run(tmp_path: Path) -> None:
         for rank in ("0", "1")
     ]
     first, second = map(finish, processes)
-    assert "2 devices" in first
+    assert "devices: 2" in first
     assert "policies, metrics" in first
     assert "Swimmer" not in second  # only the first prints and writes
     finish(start(alone))

@@ -8,6 +8,7 @@ import mujoco
 from mujoco import mjx
 
 from ailsrs_jax.envs.physics.base import PhysicsState
+from ailsrs_jax.errors import UserError
 
 # In float32 the default tolerance of 1e-8 is never reached, so every step runs all 100 solver and
 # 50 line-search iterations. These settings leave the error of one environment step against the C
@@ -23,6 +24,8 @@ class MjxPhysics:
     name = "mjx"
 
     def __init__(self, model: mujoco.MjModel, frame_skip: int) -> None:
+        if model.na:  # PhysicsState has no place for them
+            raise UserError("mjx here carries no actuator states (dyntype): use physics mujoco")
         self.model = copy.copy(model)
         self.model.opt.iterations = SOLVER_ITERATIONS
         self.model.opt.ls_iterations = LINE_SEARCH_ITERATIONS

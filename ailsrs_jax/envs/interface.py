@@ -1,0 +1,98 @@
+"""What an environment has to be, whoever wrote it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.envs import Env, State
+from ailsrs_jax.errors import UserError
+
+
+def require_env(env: Any) -> None:
+    """Raise UserError unless ``env`` can be trained in; it is only traced, nothing is simulated.
+
+    It need not derive from Brax's ``Env``: MuJoCo Playground's environments do not, and have the
+    same members.
+    """
+    name = env_name(env)
+
+    def require(condition: bool, problem: str) -> None:
+        if not condition:
+            raise UserError(f"{name}: {problem}")
+
+    require(not isinstance(env, type), "this is a class: hand in an environment made with it")
+    missing = [member for member in ("reset", "step", "action_size") if not hasattr(env, member)]
+    require(not missing, f"this is not a Brax environment: it has no {', '.join(missing)}")
+    require(type(env).__hash__ is not None, "it has no hash: make it a dataclass with eq=False")
+    layer = env
+    while layer is not None:  # wrappers of Brax and of Playground hold what they wrap as env
+        wrapper = type(layer).__name__
+        bases = [base.__name__ for base in type(layer).__mro__]
+        require("Vmap" not in str(bases), f"{wrapper} makes it a batch: leave it out")
+        require("AutoReset" not in str(bases), f"{wrapper} restarts its episodes: leave it out")
+        layer = getattr(layer, "env", None)
+
+    try:
+        state = jax.eval_shape(env.reset, jax.random.key(0))
+        action = jax.ShapeDtypeStruct((env.action_size,), np.float32)
+        next_state = jax.eval_shape(env.step, state, action)
+        scalars = state.reward.shape, state.done.shape
+        kind = type(state.obs)
+        n, p = env_sizes(env) if kind is jax.ShapeDtypeStruct else (0, 0)
+    except Exception as error:  # whatever somebody else's code stumbles over
+        raise UserError(f"{name}: JAX cannot trace it: {one_line(error)}") from error
+    require(n > 0, f"its observation is a {kind.__name__}: a linear policy needs a single vector")
+    require(
+        state.obs.shape == (n,) and jnp.issubdtype(state.obs.dtype, jnp.floating),
+        f"its observation is {state.obs.dtype}{list(state.obs.shape)}, its observation_size "
+        f"promises {n} floats",
+    )
+    require(scalars == ((), ()), f"reward and done have the shapes {scalars}, not those of scalars")
+    changed = _changed_types(state, next_state)
+    require(not changed, f"step changes the shape or type of the state's {', '.join(changed)}")
+    low = np.asarray(getattr(env, "action_low", -np.ones(p)))
+    high = np.asarray(getattr(env, "action_high", np.ones(p)))
+    require(
+        low.shape == high.shape == (p,) and bool(np.all((low < high) & np.isfinite(high - low))),
+        f"its {p} actions go from {low.tolist()} to {high.tolist()}: give each its range "
+        "(in a MuJoCo model, every actuator a ctrlrange)",
+    )
+
+
+def env_name(env: Env) -> str:
+    """The name of the environment's class, whatever wraps it."""
+    return (env if isinstance(env, type) else type(getattr(env, "unwrapped", env))).__name__
+
+
+def env_sizes(env: Env) -> tuple[int, int]:
+    """Sizes n and p of observations and actions.
+
+    Under a trace, because Brax's own environments simulate a reset to tell theirs: operation by
+    operation that takes half a minute with MJX.
+    """
+    n, p = jax.eval_shape(lambda: jnp.zeros((env.observation_size, env.action_size))).shape
+    return n, p
+
+
+def one_line(error: Exception) -> str:
+    """What kind of error it is, and the first line of what it says."""
+    return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
+
+
+def _changed_types(state: State, next_state: State) -> list[str]:
+    """Leaves of the state that a loop over steps could not carry."""
+    before, after = (
+        {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
+        for leaves, _ in map(jax.tree_util.tree_flatten_with_path, (state, next_state))
+    )
+    return [
+        name
+        for name in sorted(before.keys() | after.keys())
+        if name not in before
+        or name not in after
+        or before[name].shape != after[name].shape
+        # A plain Python number has a weak type, which JAX adapts.
+        or (before[name].dtype != after[name].dtype and not before[name].weak_type)
+    ]

@@ -44,8 +44,8 @@ def point_mass_demonstrations(env: PointMass, num_episodes: int = 8) -> Demonstr
     keys = jax.random.split(jax.random.key(0), num_episodes)
     episodes = rollout(env, policies, keys, EPISODE_LENGTH)
     return Demonstrations(
-        observations=np.asarray(episodes.observations).swapaxes(0, 1),
-        actions=np.asarray(episodes.actions).swapaxes(0, 1),
+        observations=np.asarray(episodes.observations),
+        actions=np.asarray(episodes.actions),
         lengths=np.asarray(episodes.lengths),
         returns=np.asarray(episodes.env_returns),
         env_id="PointMass",

@@ -184,7 +184,7 @@ def _rollout(trainer: Ailsrs, noise_key: jax.Array, reset_key: jax.Array) -> Cal
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        episodes, _ = explore(
+        episodes = explore(
             trainer.env,
             trainer.policy(state.weights, state.statistics),
             deltas,
@@ -197,7 +197,7 @@ def _rollout(trainer: Ailsrs, noise_key: jax.Array, reset_key: jax.Array) -> Cal
         )
         return episodes.replace(slot_steps=devices.sum(episodes.slot_steps))
 
-    specs = Rollout(shared(1), shared(1), shared(1), shared(0), slot_steps=EVERYWHERE)
+    specs = Rollout(shared(0), shared(0), shared(0), shared(0), slot_steps=EVERYWHERE)
     split: Callable[[], Rollout] = devices.split(on_one_device, specs)
     return split
 
@@ -205,19 +205,21 @@ def _rollout(trainer: Ailsrs, noise_key: jax.Array, reset_key: jax.Array) -> Cal
 def _bare(
     env: MujocoTask, devices: Devices, actions: np.ndarray, reset_key: jax.Array
 ) -> tuple[Callable[[], Any], float]:
-    """Physics alone, under the given ``actions (T, B, p)``, and how long it took to compile."""
+    """Physics alone, under the given ``actions (B, T, p)``, and how long it took to compile."""
     _, exploration_key = jax.random.split(reset_key)
-    keys = jax.random.split(exploration_key, actions.shape[1])
+    keys = jax.random.split(exploration_key, len(actions))
     initial = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
     if env.physics.name == "mujoco":
         return _bare_mujoco(env, initial, actions), 0.0
 
     def on_one_device(state: PhysicsState, actions: jax.Array) -> jax.Array:
         step, live = jax.vmap(env.physics.step, (0, 0, None)), jax.numpy.array(True)
-        state, _ = jax.lax.scan(lambda s, a: (step(s, a, live), None), state, actions)
+        state, _ = jax.lax.scan(
+            lambda s, a: (step(s, a, live), None), state, actions.swapaxes(0, 1)
+        )
         return state.qpos
 
-    specs = shared(0), shared(0), shared(1)
+    specs = shared(0), shared(0), shared(0)
     replay, compile_s = _compile(devices.split(on_one_device, *specs), initial, actions)
     return lambda: replay(initial, actions), compile_s
 
@@ -228,7 +230,7 @@ def _bare_mujoco(env: MujocoTask, initial: PhysicsState, actions: np.ndarray) ->
         (actions.shape[1], 1 + model.nq + model.nv)
     )  # time, positions, velocities
     full_state[:, 1:] = np.concatenate([initial.qpos, initial.qvel], axis=1)
-    controls = np.repeat(actions.swapaxes(0, 1), env.physics.frame_skip, axis=1).astype(float)
+    controls = np.repeat(actions, env.physics.frame_skip, axis=1).astype(float)
     data = [mujoco.MjData(model) for _ in range(cores)]
     pool = mujoco.rollout.Rollout(nthread=cores)
 

@@ -89,8 +89,8 @@ def demonstrate(
     task = open_env(policy.env_id if env is None else env, physics)
     episodes = simulate(policy, task.env, num_trajectories, jax.random.key(seed), episode_length)
     return Demonstrations(
-        observations=np.asarray(episodes.observations).swapaxes(0, 1),
-        actions=np.asarray(episodes.actions).swapaxes(0, 1),
+        observations=np.asarray(episodes.observations),
+        actions=np.asarray(episodes.actions),
         lengths=np.asarray(episodes.lengths),
         returns=np.asarray(episodes.env_returns),
         env_id=task.env_id,

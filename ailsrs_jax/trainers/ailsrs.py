@@ -152,6 +152,7 @@ class Ailsrs:
     def _update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """:meth:`update` on one device. All of the state but the memory's steps is everywhere."""
         settings, devices = self.settings, self.devices
+        num_evaluations = settings.num_evaluation_episodes
         keys = jax.random.split(state.key, 6)
         key, noise_key, reset_key, memory_key, discriminator_key, distance_key = keys
 
@@ -160,28 +161,28 @@ class Ailsrs:
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        explored, evaluation = explore(
+        batch = explore(
             self.env,
             policy,
             deltas,
             reset_key,
             noise_std=settings.noise_std,
-            num_evaluation_episodes=settings.num_evaluation_episodes,
+            num_evaluation_episodes=num_evaluations,
             episode_length=settings.episode_length,
             devices=devices,
             batch_size=self.rollout_batch_size,
         )
 
         # 2. Train the discriminator to tell their steps from the expert's.
-        lengths = devices.gather(explored.lengths.reshape(2, -1), axis=1)
-        memory = state.memory.insert(self._sample_inputs(memory_key, explored), lengths)
+        lengths = devices.gather(batch.lengths[num_evaluations:].reshape(2, -1), axis=1)
+        memory = state.memory.insert(self._sample_inputs(memory_key, batch), lengths)
         parameters, optimizer, discriminator_metrics = self._train_discriminator(
             state, memory, discriminator_key
         )
 
         # 3. Let it judge every rollout, and 4. step along the directions it liked.
-        returns = self._imitation_returns(parameters, explored).reshape(2, -1)
-        returns_plus, returns_minus = devices.gather(returns, axis=1)
+        returns = self._imitation_returns(parameters, batch)[num_evaluations:]
+        returns_plus, returns_minus = devices.gather(returns.reshape(2, -1), axis=1)
         weights = random_search.step(
             state.weights,
             deltas,
@@ -195,9 +196,10 @@ class Ailsrs:
         statistics = state.statistics
         if settings.standardize_with == "running":
             statistics = normalizer.update(
-                statistics, explored.observations, explored.alive, devices.sum
+                statistics, batch.observations, batch.alive_from(num_evaluations), devices.sum
             )
 
+        evaluation = batch.episodes(0, num_evaluations)
         distance = self._distance_to_expert(distance_key, evaluation)
         metrics = {
             "evaluation_return": evaluation.env_returns.mean(),
@@ -236,17 +238,18 @@ class Ailsrs:
         progress = iteration / max(settings.num_iterations - 1, 1)
         return settings.step_size + progress * (settings.final_step_size - settings.step_size)
 
-    def _sample_inputs(self, key: jax.Array, episodes: Rollout) -> jax.Array:
-        """``(2, N', k, n + p)`` discriminator inputs of k live steps of each of 2N' episodes."""
+    def _sample_inputs(self, key: jax.Array, batch: Rollout) -> jax.Array:
+        """``(2, N', k, n + p)`` discriminator inputs of k live steps of each perturbed policy."""
         shape = (2, self.settings.num_directions, self._steps_each)
         fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
         fractions = fractions.reshape(-1, self._steps_each)
         # A fraction just below 1 can round up.
-        lengths = episodes.lengths[:, None]
+        first = self.settings.num_evaluation_episodes
+        lengths = batch.lengths[first:, None]
         time = jnp.minimum((fractions * lengths).astype(jnp.int32), lengths - 1)
-        episode = jnp.arange(len(time))[:, None]
+        episode = first + jnp.arange(len(time))[:, None]
         inputs = self.expert.discriminator_inputs(
-            episodes.observations[time, episode], episodes.actions[time, episode]
+            batch.observations[episode, time], batch.actions[episode, time]
         )
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
@@ -303,9 +306,7 @@ class Ailsrs:
 
     def _distance_to_expert(self, key: jax.Array, episodes: Rollout) -> jax.Array:
         inputs = self.expert.discriminator_inputs(episodes.observations, episodes.actions)
-        return self.expert.distance(
-            key, inputs.swapaxes(0, 1), episodes.lengths, self.settings.episode_length
-        )
+        return self.expert.distance(key, inputs, episodes.lengths, self.settings.episode_length)
 
 
 def make_ailsrs(

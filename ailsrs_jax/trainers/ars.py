@@ -99,20 +99,22 @@ class Ars:
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        explored, evaluation = explore(
+        num_evaluations = settings.num_evaluation_episodes
+        batch = explore(
             self.env,
             policy,
             deltas,
             reset_key,
             noise_std=settings.noise_std,
-            num_evaluation_episodes=settings.num_evaluation_episodes,
+            num_evaluation_episodes=num_evaluations,
             episode_length=settings.episode_length,
             devices=devices,
             batch_size=self.rollout_batch_size,
         )
 
-        returns = explored.env_returns - settings.survival_bonus * explored.lengths
-        returns_plus, returns_minus = devices.gather(returns.reshape(2, -1), axis=1)
+        returns = batch.env_returns - settings.survival_bonus * batch.lengths
+        returns = returns[num_evaluations:].reshape(2, -1)
+        returns_plus, returns_minus = devices.gather(returns, axis=1)
         weights = random_search.step(
             state.weights,
             deltas,
@@ -122,16 +124,20 @@ class Ars:
             num_top_directions=settings.num_top_directions,
             scale_by_std=settings.scale_by_std,
         )
+        evaluation = batch.episodes(0, num_evaluations)
         evaluation_return = evaluation.env_returns.mean()
         metrics = {
             "evaluation_return": evaluation_return,
             "evaluation_length": evaluation.lengths.mean(),
-            "env_steps": devices.sum(explored.env_steps) + evaluation.env_steps,
+            "env_steps": devices.sum(batch.lengths[num_evaluations:].sum()) + evaluation.env_steps,
         }
         state = TrainState(
             weights=weights,
             statistics=normalizer.update(
-                state.statistics, explored.observations, explored.alive, devices.sum
+                state.statistics,
+                batch.observations,
+                batch.alive_from(num_evaluations),
+                devices.sum,
             ),
             kept=state.kept.offer(policy, evaluation_return, state.iteration),
             key=key,

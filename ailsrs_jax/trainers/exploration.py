@@ -21,8 +21,8 @@ def explore(
     episode_length: int,
     devices: Devices,
     batch_size: int | None,
-) -> tuple[Rollout, Rollout]:
-    """Roll out the perturbed policies and, in the same batch, the unperturbed one.
+) -> Rollout:
+    """Roll out the unperturbed policy and, in the same batch, the perturbed ones.
 
     Args:
         env: the environment.
@@ -36,19 +36,18 @@ def explore(
         batch_size: simulations of a device at a time; by default all.
 
     Returns:
-        2N' episodes, those of ``M + ν δ`` first, then those of ``M − ν δ``; and E.
+        E + 2N' episodes: first the unperturbed policy's, which often live the longest, then those
+        of ``M + ν δ``, then those of ``M − ν δ``. In one piece, because a part would be a copy.
     """
     perturbed = random_search.perturb(policy.weights, devices.mine(deltas), noise_std)
     unperturbed = jnp.tile(policy.weights, (num_evaluation_episodes, 1, 1))
     evaluation_key, exploration_key = jax.random.split(key)
     evaluation_keys = jax.random.split(evaluation_key, num_evaluation_episodes)
     exploration_keys = devices.mine(jax.random.split(exploration_key, (2, len(deltas))), axis=1)
-    batch = rollout(
+    return rollout(
         env,
-        # The unperturbed policy first: it often lives the longest.
         policy.with_weights(jnp.concatenate([unperturbed, perturbed])),
         jnp.concatenate([evaluation_keys, exploration_keys.ravel()]),
         episode_length,
         batch_size,
     )
-    return batch.episodes(num_evaluation_episodes), batch.episodes(0, num_evaluation_episodes)

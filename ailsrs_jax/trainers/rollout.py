@@ -18,26 +18,29 @@ SLICE_LENGTH = 50  # steps of all episodes that are looked at together
 
 
 class Rollout(struct.PyTreeNode):
-    """B episodes of at most T steps; steps after an episode's end are zeros.
+    """B episodes of at most T steps; steps after an episode's end are zeros."""
 
-    Time comes first so that the simulation writes one contiguous row per step.
-    """
-
-    observations: jax.Array  # (T, B, n), what the policy saw
-    actions: jax.Array  # (T, B, p), what it did, clipped to the actuators' range
-    env_rewards: jax.Array  # (T, B), what the environment paid for it
+    observations: jax.Array  # (B, T, n), what the policy saw
+    actions: jax.Array  # (B, T, p), what it did, clipped to the actuators' range
+    env_rewards: jax.Array  # (B, T), what the environment paid for it
     lengths: jax.Array  # (B,) int32, steps until the episode ended, at least 1
     slot_steps: jax.Array  # () int32, steps of the slots that simulated it, busy or idle
 
     @property
     def alive(self) -> jax.Array:
-        """``(T, B)`` bool: the step happened."""
-        return jnp.arange(self.observations.shape[0])[:, None] < self.lengths
+        """``(B, T)`` bool: the step happened."""
+        return self.alive_from(0)
+
+    def alive_from(self, first: int) -> jax.Array:
+        """``(B, T)`` bool: the step happened, in an episode from number ``first`` on."""
+        num_episodes, num_steps, _ = self.observations.shape
+        counted = jnp.where(jnp.arange(num_episodes) < first, 0, self.lengths)
+        return jnp.arange(num_steps) < counted[:, None]
 
     @property
     def env_returns(self) -> jax.Array:
         """``(B,)`` undiscounted returns of the environment's reward."""
-        return self.env_rewards.sum(axis=0)
+        return self.env_rewards.sum(axis=1)
 
     @property
     def env_steps(self) -> jax.Array:
@@ -49,18 +52,18 @@ class Rollout(struct.PyTreeNode):
 
         In slices of time, which bounds the memory and stops where the last episode does.
         """
-        num_steps = len(self.observations)
+        num_steps = self.observations.shape[1]
         slice_length = min(SLICE_LENGTH, num_steps)
 
         def add_slice(index: jax.Array, totals: jax.Array) -> jax.Array:
             start = jnp.minimum(index * slice_length, num_steps - slice_length)
             values = function(
-                jax.lax.dynamic_slice_in_dim(self.observations, start, slice_length),
-                jax.lax.dynamic_slice_in_dim(self.actions, start, slice_length),
+                jax.lax.dynamic_slice_in_dim(self.observations, start, slice_length, axis=1),
+                jax.lax.dynamic_slice_in_dim(self.actions, start, slice_length, axis=1),
             )
-            time = start + jnp.arange(slice_length)[:, None]
-            counts = (time >= index * slice_length) & (time < self.lengths)
-            return totals + jnp.sum(values, axis=0, where=counts)
+            time = start + jnp.arange(slice_length)
+            counts = (time >= index * slice_length) & (time < self.lengths[:, None])
+            return totals + jnp.sum(values, axis=1, where=counts)
 
         num_slices = -(-self.lengths.max() // slice_length)
         return jax.lax.fori_loop(0, num_slices, add_slice, jnp.zeros(self.lengths.shape))
@@ -68,9 +71,9 @@ class Rollout(struct.PyTreeNode):
     def episodes(self, start: int, stop: int | None = None) -> "Rollout":
         """The episodes ``start`` to ``stop`` of the batch."""
         return Rollout(
-            self.observations[:, start:stop],
-            self.actions[:, start:stop],
-            self.env_rewards[:, start:stop],
+            self.observations[start:stop],
+            self.actions[start:stop],
+            self.env_rewards[start:stop],
             self.lengths[start:stop],
             self.slot_steps,
         )
@@ -135,14 +138,14 @@ def rollout(
         policies, reset_keys = jax.tree.map(merge, tuple(in_batched), (policies, reset_keys))
         merged = simulate(policies, reset_keys)
 
-        def split(x: jax.Array) -> jax.Array:  # (T, S·B, …) → (S, T, B, …)
-            return jnp.moveaxis(x.reshape(x.shape[0], axis_size, -1, *x.shape[2:]), 1, 0)
+        def split(x: jax.Array) -> jax.Array:
+            return x.reshape(axis_size, -1, *x.shape[1:])
 
         batch = Rollout(
             observations=split(merged.observations),
             actions=split(merged.actions),
             env_rewards=split(merged.env_rewards),
-            lengths=merged.lengths.reshape(axis_size, -1),
+            lengths=split(merged.lengths),
             slot_steps=jnp.broadcast_to(merged.slot_steps, axis_size),
         )
         return batch, jax.tree.map(lambda _: True, batch)
@@ -163,9 +166,9 @@ def _simulate(
     all_at_once = num_slots == num_episodes
     initial = jax.vmap(env.reset)(reset_keys)
     trajectory = Rollout(
-        observations=jnp.zeros((episode_length, *initial.obs.shape)),
-        actions=jnp.zeros((episode_length, *policies.action_low.shape)),
-        env_rewards=jnp.zeros((episode_length, num_episodes)),
+        observations=jnp.zeros((num_episodes, episode_length, *initial.obs.shape[1:])),
+        actions=jnp.zeros((num_episodes, episode_length, *policies.action_low.shape[1:])),
+        env_rewards=jnp.zeros((num_episodes, episode_length)),
         lengths=jnp.zeros(num_episodes, jnp.int32),
         slot_steps=jnp.zeros((), jnp.int32),
     )
@@ -186,7 +189,7 @@ def _simulate(
         env_state = jax.vmap(env.step)(slots.env_state, actions)
 
         def record(buffer: jax.Array, values: jax.Array) -> jax.Array:
-            return buffer.at[time, episode].set(values, mode="drop")
+            return buffer.at[episode, time].set(values, mode="drop")
 
         trajectory = Rollout(
             observations=record(trajectory.observations, slots.env_state.obs),

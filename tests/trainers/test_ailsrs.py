@@ -120,8 +120,8 @@ def test_reward_of_a_rollout_in_closed_form(
     trainer = make_ailsrs(point_mass, point_mass_expert, settings)
     parameters = trainer.init(jax.random.key(1)).discriminator
     lengths = np.array([1, 49, 50, 51, 120])
-    observations = np.random.default_rng(0).normal(size=(120, 5, 2)).astype(np.float32)
-    actions = np.random.default_rng(1).normal(size=(120, 5, 1)).astype(np.float32)
+    observations = np.random.default_rng(0).normal(size=(5, 120, 2)).astype(np.float32)
+    actions = np.random.default_rng(1).normal(size=(5, 120, 1)).astype(np.float32)
     episodes = Rollout(
         *map(jnp.asarray, (observations, actions, actions[..., 0], lengths, lengths.sum()))
     )
@@ -129,7 +129,7 @@ def test_reward_of_a_rollout_in_closed_form(
     logit = functools.partial(trainer.network.apply, parameters)
     for index, length in enumerate(lengths):
         inputs = trainer.expert.discriminator_inputs(
-            observations[:length, index], actions[:length, index]
+            observations[index, :length], actions[index, :length]
         )
         rewards = -np.log1p(-jax.nn.sigmoid(logit(inputs)))
         expected = rewards.mean() if reduction == "mean" else rewards.sum()

@@ -66,7 +66,7 @@ def test_directions_and_episodes_are_the_same_bits(point_mass: PointMass, alone:
 
     def lengths_and_returns(where: Devices) -> tuple[jax.Array, ...]:
         def on_one_device() -> tuple[jax.Array, ...]:
-            episodes, _ = explore(
+            batch = explore(
                 point_mass,
                 alone.policy(state.weights, state.statistics),
                 deltas,
@@ -77,7 +77,7 @@ def test_directions_and_episodes_are_the_same_bits(point_mass: PointMass, alone:
                 devices=where,
                 batch_size=None,
             )
-            by_pair = (episodes.lengths.reshape(2, -1), episodes.env_returns.reshape(2, -1))
+            by_pair = (values[2:].reshape(2, -1) for values in (batch.lengths, batch.env_returns))
             return tuple(where.gather(values, axis=1) for values in by_pair)
 
         return jax.jit(where.split(on_one_device, jax.sharding.PartitionSpec()))()

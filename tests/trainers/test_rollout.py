@@ -30,16 +30,16 @@ def test_against_a_plain_loop(limit: int, point_mass: PointMass) -> None:
     for index in range(3):
         env_state, length, total = point_mass.reset(keys[index]), 0, 0.0
         while length < limit and not env_state.done:
-            np.testing.assert_allclose(result.observations[length, index], env_state.obs, atol=1e-4)
-            np.testing.assert_allclose(result.actions[length, index], forces[index], atol=1e-5)
+            np.testing.assert_allclose(result.observations[index, length], env_state.obs, atol=1e-4)
+            np.testing.assert_allclose(result.actions[index, length], forces[index], atol=1e-5)
             env_state = point_mass.step(env_state, forces[index][None])
             total += float(env_state.reward)
             length += 1
         assert int(result.lengths[index]) == length
         np.testing.assert_allclose(result.env_returns[index], total, rtol=1e-3)
-        assert result.alive[:, index].sum() == length
+        assert result.alive[index].sum() == length
         for buffer in (result.observations, result.actions, result.env_rewards):
-            assert not buffer[length:, index].any()
+            assert not buffer[index, length:].any()
     assert int(result.env_steps) == int(result.lengths.sum())
     assert (int(result.lengths[1]) == limit) == (limit == 10)  # a push leaves the field after 10
 
@@ -64,7 +64,7 @@ def test_vmap_over_one_argument_only(point_mass: PointMass) -> None:
     policies = constant_force(jnp.array([0.0, 1.0]))
     keys = jax.random.split(jax.random.key(0), (3, 2))
     together = jax.vmap(lambda keys: rollout(point_mass, policies, keys, 5))(keys)
-    assert together.observations.shape == (3, 5, 2, 2)
+    assert together.observations.shape == (3, 2, 5, 2)
     assert together.lengths.shape == (3, 2)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 from mujoco import mjx
 
+from ailsrs_jax.envs.physics import plane_capsule
 from ailsrs_jax.envs.physics.base import PhysicsState
 from ailsrs_jax.errors import UserError
 
@@ -32,6 +33,7 @@ class MjxPhysics:
     ) -> None:
         if model.na:  # PhysicsState has no place for them
             raise UserError("mjx here carries no actuator states (dyntype): use physics mujoco")
+        plane_capsule.use_in_mjx()
         self.model = copy.copy(model)
         self.model.opt.iterations = SOLVER_ITERATIONS
         self.model.opt.ls_iterations = LINE_SEARCH_ITERATIONS

@@ -14,6 +14,9 @@ from ailsrs_jax.errors import UserError
 # In float32 the default tolerance of 1e-8 is never reached, so every step runs all 100 solver and
 # 50 line-search iterations. These settings leave the error of one environment step against the C
 # engine where it was and are 3.4 times faster (tests/envs/test_gymnasium_agreement.py bounds it).
+# experiments/solver_settings.py compares: with 4, 6, 8 and 100 iterations the 99th percentile of
+# the velocities' error is 5e-2, 2e-5, 2e-5 and 2e-5 rad/s on Ant, 7e-2, 1.9e-3, 1.7e-3 and 1.7e-3
+# on Humanoid, where a part is its own PGS solver's.
 SOLVER_ITERATIONS = 6
 LINE_SEARCH_ITERATIONS = 4
 SOLVER_TOLERANCE = 1e-4

@@ -23,7 +23,10 @@ from ailsrs_jax.versions import VersionError
 
 EnvName = Annotated[
     str,
-    arg(metavar="ENV", help="hopper, walker2d, halfcheetah, swimmer, or module:attribute"),
+    arg(
+        metavar="ENV",
+        help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
+    ),
 ]
 PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".

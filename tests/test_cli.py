@@ -75,6 +75,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
     "arguments",
     [
         "train hoper",
+        "train ant",
         "train nowhere:Slider",
         "train tests.point_mass:PointMass",
         "train tests.point_mass:PointMass --demonstrations file --physics mjx",
@@ -105,6 +106,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
         "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
         "demonstrate hoper --output demonstrations.npz",
+        "demonstrate humanoid --output demonstrations.npz",
         "expert hoper --output expert.npz",
         "expert hopper --output file/expert.npz",
         "expert hopper --set num_top_directions=1000 --output expert.npz",

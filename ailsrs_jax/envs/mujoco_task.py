@@ -38,6 +38,7 @@ class MujocoTask(Env):
         frame_skip: int,
         reset_noise_scale: float,
         num_hidden_positions: int,
+        readings: tuple[str, ...] = (),
     ) -> None:
         """Load the model.
 
@@ -47,9 +48,10 @@ class MujocoTask(Env):
             frame_skip: physics steps per environment step.
             reset_noise_scale: size of the noise on the initial positions and velocities.
             num_hidden_positions: leading entries of ``qpos`` that the observation leaves out.
+            readings: fields of ``mjData`` that the task needs beside ``qpos`` and ``qvel``.
         """
         model = load_model(xml_file)
-        self.physics: Physics = make_physics(physics, model, frame_skip)
+        self.physics: Physics = make_physics(physics, model, frame_skip, readings)
         self.dt = float(model.opt.timestep) * frame_skip
         self._reset_noise_scale = reset_noise_scale
         self._num_hidden_positions = num_hidden_positions
@@ -133,7 +135,10 @@ class MujocoTask(Env):
         return jax.random.uniform(key, (self.physics.model.nv,), minval=-noise, maxval=noise)
 
     def _forward_velocity(self, before: PhysicsState, after: PhysicsState) -> jax.Array:
-        return (after.qpos[0] - before.qpos[0]) / self.dt
+        return (self._forward_position(after) - self._forward_position(before)) / self.dt
+
+    def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
+        return physics_state.qpos[0]
 
 
 def load_model(xml_file: str) -> mujoco.MjModel:

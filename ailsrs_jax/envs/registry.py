@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.ant import Ant
 from ailsrs_jax.envs.half_cheetah import HalfCheetah
 from ailsrs_jax.envs.hopper import Hopper
+from ailsrs_jax.envs.humanoid import Humanoid
 from ailsrs_jax.envs.interface import env_name, one_line, require_env
 from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import choose_engine
@@ -20,8 +22,10 @@ from ailsrs_jax.envs.walker2d import Walker2d
 from ailsrs_jax.errors import UserError
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
+    "Ant-v5": Ant,
     "HalfCheetah-v5": HalfCheetah,
     "Hopper-v5": Hopper,
+    "Humanoid-v5": Humanoid,
     "Swimmer-v5": Swimmer,
     "Walker2d-v5": Walker2d,
 }

@@ -10,8 +10,10 @@ PRESETS = ("tuned", "paper")
 
 # Table I of the paper, all directions; only HalfCheetah starts from behaviour cloning there.
 _PAPER = {
+    "Ant-v5": AilsrsSettings(),
     "HalfCheetah-v5": AilsrsSettings(behavior_cloning_start=True),
     "Hopper-v5": AilsrsSettings(),
+    "Humanoid-v5": AilsrsSettings(),
     "Swimmer-v5": AilsrsSettings(),
     "Walker2d-v5": AilsrsSettings(),
 }
@@ -35,8 +37,10 @@ _TUNED_BASE = AilsrsSettings(
     standardize_with="expert",
 )
 _TUNED = {
+    "Ant-v5": dataclasses.replace(_TUNED_BASE, num_iterations=100),  # not tried yet
     "HalfCheetah-v5": dataclasses.replace(_TUNED_BASE, num_iterations=60),
     "Hopper-v5": dataclasses.replace(_TUNED_BASE, num_iterations=30),
+    "Humanoid-v5": dataclasses.replace(_TUNED_BASE, num_iterations=100),  # not tried yet
     "Swimmer-v5": dataclasses.replace(_TUNED_BASE, num_iterations=40),
     "Walker2d-v5": dataclasses.replace(_TUNED_BASE, num_iterations=120),
 }
@@ -44,8 +48,17 @@ _TUNED = {
 _TUNED_ELSEWHERE = dataclasses.replace(_TUNED_BASE, num_iterations=100)
 
 # Augmented random search on the environment's reward, after the settings of its paper. These made
-# the experts that ship with the package (ailsrs_jax/data/experts/README.md).
+# the experts that ship with the package (ailsrs_jax/data/experts/README.md); none ships yet for Ant
+# and Humanoid, whose settings are the paper's V2-t.
 EXPERTS = {
+    "Ant-v5": ArsSettings(
+        num_iterations=200,
+        num_directions=60,
+        num_top_directions=20,
+        step_size=0.015,
+        noise_std=0.025,
+        survival_bonus=1.0,
+    ),
     "HalfCheetah-v5": ArsSettings(
         num_iterations=230, num_top_directions=8, num_evaluation_episodes=16
     ),
@@ -55,6 +68,13 @@ EXPERTS = {
         num_top_directions=8,
         noise_std=0.025,
         survival_bonus=1.0,
+    ),
+    "Humanoid-v5": ArsSettings(
+        num_iterations=200,
+        num_directions=230,
+        num_top_directions=230,
+        noise_std=0.0075,
+        survival_bonus=5.0,
     ),
     "Swimmer-v5": ArsSettings(
         num_iterations=150, num_directions=8, noise_std=0.02, num_evaluation_episodes=4

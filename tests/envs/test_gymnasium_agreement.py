@@ -1,19 +1,36 @@
 """Every task on both engines against Gymnasium's own environment, one step at a time."""
 
+import itertools
 from typing import Any, NamedTuple
 
 import gymnasium
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from ailsrs_jax.data.policies import expert_path, load_policy
 from ailsrs_jax.envs.mujoco_task import MujocoTask, without_warnings
-from ailsrs_jax.envs.physics import PhysicsState
+from ailsrs_jax.envs.physics import ENGINES, PhysicsState
 from ailsrs_jax.envs.registry import TASKS, make_env
 
+WITH_EXPERT = [env_id for env_id in TASKS if env_id not in ("Ant-v5", "Humanoid-v5")]
+TOLERANCES = {"mujoco": 1e-5, "mjx": 2e-3}
+
 NON_DEFAULT_FLAGS: dict[str, dict[str, Any]] = {
+    "Ant-v5": {
+        "frame_skip": 4,
+        "forward_reward_weight": 0.5,
+        "ctrl_cost_weight": 0.1,
+        "contact_cost_weight": 0.01,
+        "healthy_reward": 2.0,
+        "main_body": "aux_1",
+        "healthy_z_range": (0.4, 0.9),
+        "contact_force_range": (-5.0, 20.0),
+        "reset_noise_scale": 0.05,
+        "exclude_current_positions_from_observation": False,
+    },
     "HalfCheetah-v5": {
         "frame_skip": 3,
         "forward_reward_weight": 2.0,
@@ -25,6 +42,18 @@ NON_DEFAULT_FLAGS: dict[str, dict[str, Any]] = {
         "healthy_reward": 3.0,
         "healthy_state_range": (-2.0, 2.0),
         "healthy_z_range": (0.9, 1.3),
+        "exclude_current_positions_from_observation": False,
+    },
+    "Humanoid-v5": {
+        "frame_skip": 3,
+        "forward_reward_weight": 0.5,
+        "ctrl_cost_weight": 0.3,
+        "contact_cost_weight": 1e-6,
+        "contact_cost_range": (0.001, 0.05),
+        "healthy_reward": 2.0,
+        "terminate_when_unhealthy": False,
+        "healthy_z_range": (1.3, 1.5),
+        "reset_noise_scale": 0.05,
         "exclude_current_positions_from_observation": False,
     },
     "Swimmer-v5": {
@@ -48,31 +77,41 @@ class Steps(NamedTuple):
     action: np.ndarray
     next_observation: np.ndarray
     reward: np.ndarray
-    terms: dict[str, np.ndarray]
+    info: dict[str, np.ndarray]
     terminated: np.ndarray
+
+
+def gymnasium_env(env_id: str, **flags: Any) -> Any:
+    with without_warnings():
+        return gymnasium.make(env_id, **flags).unwrapped
+
+
+def set_state(env: Any, qpos: Any, qvel: Any) -> None:
+    """As Gymnasium's reset does, to a state of our choice."""
+    mujoco.mj_resetData(env.model, env.data)
+    env.set_state(np.float64(qpos), np.float64(qvel))
 
 
 def gymnasium_steps(env_id: str, num_steps: int, **flags: Any) -> Steps:
     """Steps from states that random actions, and where it fits the expert, visit."""
-    with without_warnings():
-        env = gymnasium.make(env_id, **flags).unwrapped
-    expert = load_policy(expert_path(env_id))
+    env = gymnasium_env(env_id, **flags)
+    expert = load_policy(expert_path(env_id)) if env_id in WITH_EXPERT else None
     observation, _ = env.reset(seed=0)
     rng, rows = np.random.default_rng(0), []
     for time in range(num_steps):
         action = np.float32(rng.uniform(-1.2, 1.2, env.action_space.shape))
-        if time % 400 >= 100 and expert.weights.shape[1] == len(observation):
+        if time % 400 >= 100 and expert and expert.weights.shape[1] == len(observation):
             action = np.float32(expert(observation) + 0.1 * action)
-        qpos, qvel = env.data.qpos.copy(), env.data.qvel.copy()
+        qpos, qvel = np.float32(env.data.qpos), np.float32(env.data.qvel)
+        set_state(env, qpos, qvel)  # body positions and forces are of an earlier state otherwise
         observation, reward, terminated, _, info = env.step(action)
-        terms = {name: value for name, value in info.items() if name.startswith("reward_")}
-        rows.append((qpos, qvel, action, observation, reward, terms, terminated))
+        rows.append((qpos, qvel, action, observation, reward, info, terminated))
         if terminated or time % 400 == 99:
             observation, _ = env.reset(seed=time)
-    *arrays, terms, terminated = zip(*rows, strict=True)
+    *arrays, infos, terminated = zip(*rows, strict=True)
     return Steps(
         *map(np.array, arrays),
-        {name: np.array([row[name] for row in terms]) for name in terms[0]},
+        {name: np.array([info[name] for info in infos]) for name in infos[0]},
         np.array(terminated),
     )
 
@@ -93,6 +132,7 @@ def our_steps(env: MujocoTask, steps: Steps) -> tuple[Any, Any]:
 def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> None:
     state, _ = our_steps(env, steps)
     assert state.obs.shape == steps.next_observation.shape
+    assert state.obs.shape[1] == env.observation_size
     # Velocities reach tens of rad/s, so the error is relative to the larger of 1 and the value.
     scale = np.maximum(1.0, np.abs(steps.next_observation))
     errors = np.abs(state.obs - steps.next_observation) / scale
@@ -100,40 +140,47 @@ def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> None:
     assert np.median(errors) < tolerance / 20
     reward_errors = np.abs(state.reward - steps.reward) / np.maximum(1.0, np.abs(steps.reward))
     assert np.quantile(reward_errors, 0.99) < 10 * tolerance
-    for name, values in steps.terms.items():
-        term_errors = np.abs(state.metrics[name] - values) / np.maximum(1.0, np.abs(values))
+    assert {name for name in steps.info if name.startswith("reward_")} <= set(state.metrics)
+    for name, ours in state.metrics.items():
+        values = steps.info[name]
+        term_errors = np.abs(ours - values) / np.maximum(1.0, np.abs(values))
         assert np.quantile(term_errors, 0.99) < 10 * tolerance, name
     # A state on the very border may fall on either side; a step that ends is one in a hundred.
     disagreements = np.sum(np.asarray(state.done, bool) != steps.terminated)
     assert disagreements <= 0.05 * steps.terminated.sum()
 
 
-@pytest.mark.parametrize("env_id", TASKS)
-@pytest.mark.parametrize(("physics", "tolerance"), [("mujoco", 1e-4), ("mjx", 2e-3)])
-def test_one_step_from_gymnasiums_states(env_id: str, physics: str, tolerance: float) -> None:
+@pytest.mark.parametrize(
+    ("env_id", "physics"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if case == ("Humanoid-v5", "mjx") else ())
+        for case in itertools.product(TASKS, ENGINES)
+    ],
+)
+def test_one_step_from_gymnasiums_states(env_id: str, physics: str) -> None:
     steps = gymnasium_steps(env_id, 1200)
-    if TASKS[env_id].__name__ in ("Hopper", "Walker2d"):
+    if env_id not in ("HalfCheetah-v5", "Swimmer-v5"):
         assert steps.terminated.any()
-    assert_agree(make_env(env_id, physics), steps, tolerance)
+    if env_id in ("Ant-v5", "Humanoid-v5"):
+        assert (steps.info["reward_contact"] < 0).mean() > 0.1
+    assert_agree(make_env(env_id, physics), steps, TOLERANCES[physics])
 
 
 @pytest.mark.parametrize("env_id", TASKS)
 def test_constructor_flags(env_id: str) -> None:
     flags = NON_DEFAULT_FLAGS[env_id]
     steps = gymnasium_steps(env_id, 300, **flags)
-    assert_agree(make_env(env_id, "mujoco", **flags), steps, 1e-4)
+    assert_agree(make_env(env_id, "mujoco", **flags), steps, TOLERANCES["mujoco"])
 
 
 @pytest.mark.parametrize("env_id", TASKS)
 def test_whole_trajectory_of_the_c_engine(env_id: str) -> None:
     """Nothing is rounded between steps, so 100 steps in a row stay together."""
-    env = make_env(env_id, "mujoco")
-    with without_warnings():
-        reference = gymnasium.make(env_id).unwrapped
+    flags = {} if env_id in WITH_EXPERT else {"terminate_when_unhealthy": False}
+    env, reference = make_env(env_id, "mujoco", **flags), gymnasium_env(env_id, **flags)
     reference.reset(seed=0)
     state = jax.jit(env.reset)(jax.random.key(0))
-    physics_state = state.pipeline_state
-    reference.set_state(*map(np.float64, (physics_state.qpos, physics_state.qvel)))
+    set_state(reference, state.pipeline_state.qpos, state.pipeline_state.qvel)
     step = jax.jit(env.step)
     rng = np.random.default_rng(0)
     for _ in range(100):
@@ -145,6 +192,46 @@ def test_whole_trajectory_of_the_c_engine(env_id: str) -> None:
         assert bool(state.done) == terminated
         if terminated:
             break
+    if env.physics.readings:  # the solver's warm start is kept too: not a bit is lost
+        bits = np.asarray(state.pipeline_state.carry).view(np.float64)
+        qpos, qvel = reference.data.qpos, reference.data.qvel
+        np.testing.assert_array_equal(bits[1 : 1 + qpos.size + qvel.size], [*qpos, *qvel])
+
+
+@pytest.mark.parametrize("physics", ENGINES)
+@pytest.mark.parametrize("env_id", TASKS)
+def test_initial_observation(env_id: str, physics: str) -> None:
+    env, reference = make_env(env_id, physics), gymnasium_env(env_id)
+    state = jax.jit(env.reset)(jax.random.key(1))
+    reference.reset(seed=0)
+    set_state(reference, state.pipeline_state.qpos, state.pipeline_state.qvel)
+    np.testing.assert_allclose(state.obs, reference._get_obs(), rtol=1e-5, atol=1e-6)
+    for name, value in reference._get_reset_info().items():
+        if name in state.metrics:
+            np.testing.assert_allclose(state.metrics[name], value, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "name"),
+    [
+        ("Ant-v5", "cfrc_ext"),
+        ("Humanoid-v5", "cinert"),
+        ("Humanoid-v5", "cvel"),
+        ("Humanoid-v5", "qfrc_actuator"),
+        ("Humanoid-v5", "cfrc_ext"),
+    ],
+)
+def test_each_part_of_the_observation_can_be_left_out(env_id: str, name: str) -> None:
+    flags = {f"include_{name}_in_observation": False}
+    env, reference = make_env(env_id, "mujoco", **flags), gymnasium_env(env_id, **flags)
+    start = jax.jit(env.reset)(jax.random.key(0))
+    reference.reset(seed=0)
+    set_state(reference, start.pipeline_state.qpos, start.pipeline_state.qvel)
+    action = np.full(env.action_size, 0.3, np.float32)
+    state = jax.jit(env.step)(start, action)
+    expected, *_ = reference.step(action)
+    assert env.observation_size == expected.size
+    np.testing.assert_allclose(state.obs, expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("env_id", TASKS)
@@ -152,21 +239,29 @@ def test_reset_noise_is_gymnasiums(env_id: str) -> None:
     """Mean, spread and range of 2000 initial states against 300 of Gymnasium's."""
     env = make_env(env_id, "mujoco")
     keys = jax.random.split(jax.random.key(0), 2000)
-    ours = np.asarray(jax.jit(jax.vmap(env.reset))(keys).obs)
-    with without_warnings():
-        reference = gymnasium.make(env_id).unwrapped
-    theirs = np.array([reference.reset(seed=seed)[0] for seed in range(300)])
+    states = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
+    ours = np.concatenate([states.qpos, states.qvel], axis=1)
+    reference, rows = gymnasium_env(env_id), []
+    for seed in range(300):
+        reference.reset(seed=seed)
+        rows.append(reference.state_vector())
+    theirs = np.array(rows)
     spread = theirs.std(axis=0)
     np.testing.assert_allclose(ours.mean(axis=0), theirs.mean(axis=0), atol=0.3 * spread.max())
     np.testing.assert_allclose(ours.std(axis=0), spread, rtol=0.25)
     assert (np.ptp(ours, axis=0) < 3 * np.ptp(theirs, axis=0)).all()
 
 
-def test_a_finished_simulation_is_left_alone() -> None:
-    env = make_env("hopper", "mujoco")
+@pytest.mark.parametrize("name", ["hopper", "ant"])
+def test_a_finished_simulation_is_left_alone(name: str) -> None:
+    env = make_env(name, "mujoco")
     state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
     state = state.replace(done=jnp.array([0.0, 1.0, 0.0]))
-    after = jax.vmap(env.step)(state, jnp.ones((3, 3))).pipeline_state
-    moved = np.any(after.qpos != state.pipeline_state.qpos, axis=1)
-    assert moved.tolist() == [True, False, True]
+    after = jax.vmap(env.step)(state, jnp.ones((3, env.action_size))).pipeline_state
     assert isinstance(after, PhysicsState)
+    before = state.pipeline_state
+    names = [name for name in before.readings if name != "cfrc_ext"]  # zero until something touches
+    readings = [(before.readings[name], after.readings[name]) for name in names]
+    for old, new in [(before.qpos, after.qpos), *readings]:
+        moved = np.any(old != new, axis=tuple(range(1, old.ndim)))
+        assert moved.tolist() == [True, False, True]

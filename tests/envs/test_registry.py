@@ -21,7 +21,7 @@ def test_a_task_has_two_names(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["", "hoper", "Hopper-v4", "../Hopper-v5"])
 def test_unknown_names_are_refused_with_the_known_ones(name: str) -> None:
-    with pytest.raises(UserError, match="halfcheetah, hopper, swimmer, walker2d"):
+    with pytest.raises(UserError, match="ant, halfcheetah, hopper, humanoid, swimmer, walker2d"):
         resolve_env_id(name)
 
 
@@ -37,6 +37,8 @@ def test_wrong_engine_flag_and_model_are_the_users_mistakes(tmp_path) -> None:
         make_env("hopper", "bullet")
     with pytest.raises(UserError, match="gravity"):
         make_env("hopper", gravity=0.0)
+    with pytest.raises(UserError, match="has no body 'head'"):
+        make_env("ant", main_body="head")
     with pytest.raises(UserError, match="no model file"):
         make_env("hopper", xml_file=str(tmp_path / "none.xml"))
     broken = tmp_path / "broken.xml"

@@ -26,13 +26,18 @@ def choose_engine(requested: str) -> tuple[str, str]:
     return "mjx", f"JAX runs on {backend}: the whole training step is one XLA program"
 
 
-def make_physics(engine: str, model: mujoco.MjModel, frame_skip: int) -> Physics:
-    """Build the engine called ``engine`` (see :func:`choose_engine`) for ``model``."""
+def make_physics(
+    engine: str, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
+) -> Physics:
+    """Build the engine called ``engine`` (see :func:`choose_engine`) for ``model``.
+
+    ``readings`` are the fields of ``mjData`` that its states carry beside positions and velocities.
+    """
     name, _ = choose_engine(engine)
     if name == "mjx":
         from ailsrs_jax.envs.physics.mjx_engine import MjxPhysics  # slow to import, often unused
 
-        return MjxPhysics(model, frame_skip)
+        return MjxPhysics(model, frame_skip, readings)
     from ailsrs_jax.envs.physics.mujoco_engine import MujocoPhysics
 
-    return MujocoPhysics(model, frame_skip)
+    return MujocoPhysics(model, frame_skip, readings)

@@ -13,6 +13,9 @@ class PhysicsState(struct.PyTreeNode):
     qpos: jax.Array  # (nq,) float32, generalised positions [m, rad]
     qvel: jax.Array  # (nv,) float32, generalised velocities [m/s, rad/s]
     carry: jax.Array  # private to the engine that made it
+    # What else the task asked for: MuJoCo's name of the field → its value, as float32. After a step
+    # these are what MuJoCo leaves, of its last integration stage rather than of the final state.
+    readings: dict[str, jax.Array] = struct.field(default_factory=dict)
 
 
 class Physics(Protocol):
@@ -22,14 +25,19 @@ class Physics(Protocol):
         name: the engine's name on the command line.
         model: the MuJoCo model that is simulated.
         frame_skip: physics steps in one call of :meth:`step`.
+        readings: fields of MuJoCo's ``mjData`` that every state carries.
     """
 
     name: str
     model: mujoco.MjModel
     frame_skip: int
+    readings: tuple[str, ...]
 
     def init(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
-        """Start a simulation at rest time from positions ``(nq,)`` and velocities ``(nv,)``."""
+        """Start a simulation at rest time from positions ``(nq,)`` and velocities ``(nv,)``.
+
+        No force has acted yet: ``cfrc_ext`` is zero, even where bodies touch.
+        """
         ...
 
     def step(self, state: PhysicsState, ctrl: jax.Array, live: jax.Array) -> PhysicsState:

@@ -5,12 +5,12 @@ import threading
 
 import jax
 import mujoco
-import mujoco.rollout
 import numpy as np
 
 from ailsrs_jax.envs.physics.base import PhysicsState
+from ailsrs_jax.envs.physics.mujoco_pools import Readings, RolloutPool, SteppingPool
 
-HostState = tuple[np.ndarray, np.ndarray, np.ndarray]  # the fields of PhysicsState, in NumPy
+HostState = tuple[np.ndarray, np.ndarray, np.ndarray, Readings]  # a PhysicsState in NumPy
 
 
 def available_cores() -> int:
@@ -29,18 +29,30 @@ class MujocoPhysics:
 
     name = "mujoco"
 
-    def __init__(self, model: mujoco.MjModel, frame_skip: int) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
+    ) -> None:
         self.model = model
         self.frame_skip = frame_skip
-        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+        self.readings = readings
         num_threads = available_cores()
-        self._data = [mujoco.MjData(model) for _ in range(num_threads)]
-        self._pool = mujoco.rollout.Rollout(nthread=num_threads)
+        self._pool = (
+            SteppingPool(model, frame_skip, num_threads, readings)
+            if readings
+            else RolloutPool(model, frame_skip, num_threads)
+        )
         self._lock = threading.Lock()  # programs on two Python threads may share this engine
+        self._state_size = mujoco.mj_stateSize(model, self._pool.state_spec)
+        data = mujoco.MjData(model)
+        self._reading_shapes = {name: getattr(data, name).shape for name in readings}
         self._state_types = (
             jax.ShapeDtypeStruct((model.nq,), np.float32),
             jax.ShapeDtypeStruct((model.nv,), np.float32),
             jax.ShapeDtypeStruct((2 * self._state_size,), np.uint32),
+            {
+                name: jax.ShapeDtypeStruct(shape, np.float32)
+                for name, shape in self._reading_shapes.items()
+            },
         )
 
     def init(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
@@ -53,34 +65,56 @@ class MujocoPhysics:
     def step(self, state: PhysicsState, ctrl: jax.Array, live: jax.Array) -> PhysicsState:
         """See :class:`~ailsrs_jax.envs.physics.base.Physics`."""
         next_state = jax.pure_callback(
-            self._host_step, self._state_types, state.carry, ctrl, live, vmap_method="broadcast_all"
+            self._host_step,
+            self._state_types,
+            *(state.carry, state.readings, ctrl, live),
+            vmap_method="broadcast_all",
         )
         return PhysicsState(*next_state)
 
     def _host_init(self, qpos: jax.Array, qvel: jax.Array) -> HostState:
         # The full state is [time, qpos, qvel, …]: none of the models has activations or plugins.
         nq, nv = self.model.nq, self.model.nv
-        full_state = np.zeros((*qpos.shape[:-1], self._state_size))
+        batch_shape = qpos.shape[:-1]
+        full_state = np.zeros((*batch_shape, self._state_size))
         full_state[..., 1 : 1 + nq] = np.asarray(qpos)
         full_state[..., 1 + nq : 1 + nq + nv] = np.asarray(qvel)
-        return self._unpack(full_state)
+        readings = {
+            name: np.zeros((*batch_shape, *shape), np.float32)
+            for name, shape in self._reading_shapes.items()
+        }
+        with self._lock:
+            self._pool.start(*self._rows(full_state, readings))
+        return self._unpack(full_state, readings)
 
-    def _host_step(self, carry: jax.Array, ctrl: jax.Array, live: jax.Array) -> HostState:
+    def _host_step(
+        self,
+        carry: jax.Array,
+        readings: dict[str, jax.Array],
+        ctrl: jax.Array,
+        live: jax.Array,
+    ) -> HostState:
         full_state = np.array(carry).view(np.float64)
-        simulations = full_state.reshape(-1, self._state_size)  # a view: writes reach full_state
+        new_readings = {name: np.array(values) for name, values in readings.items()}
         rows = np.flatnonzero(np.asarray(live))
         if rows.size:
-            controls = np.asarray(ctrl, np.float64).reshape(-1, self.model.nu)[rows]
-            controls = np.repeat(controls[:, None], self.frame_skip, axis=1)
+            controls = np.asarray(ctrl, np.float64).reshape(-1, self.model.nu)
             with self._lock:
-                states, _ = self._pool.rollout(self.model, self._data, simulations[rows], controls)
-            simulations[rows] = states[:, -1]
-        return self._unpack(full_state)
+                self._pool.step(rows, controls, *self._rows(full_state, new_readings))
+        return self._unpack(full_state, new_readings)
 
-    def _unpack(self, full_state: np.ndarray) -> HostState:
+    def _rows(self, full_state: np.ndarray, readings: Readings) -> tuple[np.ndarray, Readings]:
+        """One row for each simulation: views, so that what is written reaches the arguments."""
+        return full_state.reshape(-1, self._state_size), {
+            name: values.reshape(-1, *self._reading_shapes[name])
+            for name, values in readings.items()
+        }
+
+    def _unpack(self, full_state: np.ndarray, readings: Readings) -> HostState:
         nq, nv = self.model.nq, self.model.nv
         return (
             full_state[..., 1 : 1 + nq].astype(np.float32),
             full_state[..., 1 + nq : 1 + nq + nv].astype(np.float32),
             full_state.view(np.uint32),
+            readings,
         )

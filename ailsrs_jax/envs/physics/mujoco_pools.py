@@ -1,0 +1,102 @@
+"""Two ways to step a batch of simulations on MuJoCo's C engine, on several threads.
+
+Both work in place on rows of ``states (B, s)``, float64 in the layout of the pool's ``state_spec``
+([time, qpos, qvel, …]), and of ``readings``, a float32 array ``(B, …)`` for each field of
+``mjData`` that is read.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+Readings = dict[str, np.ndarray]
+
+
+class RolloutPool:
+    """``mujoco.rollout``: all in C, but it returns nothing of ``mjData`` beside the state."""
+
+    state_spec = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+
+    def __init__(self, model: mujoco.MjModel, frame_skip: int, num_threads: int) -> None:
+        self._model = model
+        self._frame_skip = frame_skip
+        self._data = [mujoco.MjData(model) for _ in range(num_threads)]
+        self._rollout = mujoco.rollout.Rollout(nthread=num_threads)
+
+    def start(self, states: np.ndarray, readings: Readings) -> None:
+        """Leave the states as they are: there is nothing to read."""
+
+    def step(
+        self, rows: np.ndarray, controls: np.ndarray, states: np.ndarray, readings: Readings
+    ) -> None:
+        """Advance the simulations ``rows`` by ``frame_skip`` steps under ``controls (B, nu)``."""
+        del readings
+        controls = np.repeat(controls[rows, None], self._frame_skip, axis=1)
+        trajectories, _ = self._rollout.rollout(self._model, self._data, states[rows], controls)
+        states[rows] = trajectories[:, -1]
+
+
+class SteppingPool:
+    """Python threads with an ``mjData`` each, which make the calls of Gymnasium's ``MujocoEnv``."""
+
+    # With the solver's warm start, a simulation goes on bit for bit as if it had never left its
+    # mjData.
+    state_spec = mujoco.mjtState.mjSTATE_FULLPHYSICS.value | mujoco.mjtState.mjSTATE_WARMSTART.value
+
+    def __init__(
+        self, model: mujoco.MjModel, frame_skip: int, num_threads: int, readings: tuple[str, ...]
+    ) -> None:
+        self._model = model
+        self._frame_skip = frame_skip
+        self._reads_forces = "cfrc_ext" in readings
+        self._data = [mujoco.MjData(model) for _ in range(num_threads)]
+        # MuJoCo's fields never move: looking them up anew for every simulation would cost more
+        # than copying them.
+        self._fields = [{name: getattr(data, name) for name in readings} for data in self._data]
+        self._threads = ThreadPoolExecutor(num_threads)
+
+    def start(self, states: np.ndarray, readings: Readings) -> None:
+        """Set each simulation up as ``MujocoEnv.reset`` does: no force has acted yet."""
+
+        def start_one(data: mujoco.MjData, row: int) -> None:
+            mujoco.mj_resetData(self._model, data)
+            mujoco.mj_setState(self._model, data, states[row], self.state_spec)
+            mujoco.mj_forward(self._model, data)
+
+        self._for_each(np.arange(len(states)), start_one, states, readings)
+
+    def step(
+        self, rows: np.ndarray, controls: np.ndarray, states: np.ndarray, readings: Readings
+    ) -> None:
+        """Advance the simulations ``rows`` by ``frame_skip`` steps under ``controls (B, nu)``."""
+
+        def step_one(data: mujoco.MjData, row: int) -> None:
+            mujoco.mj_setState(self._model, data, states[row], self.state_spec)
+            data.ctrl[:] = controls[row]
+            mujoco.mj_step(self._model, data, nstep=self._frame_skip)
+            if self._reads_forces:
+                mujoco.mj_rnePostConstraint(self._model, data)
+
+        self._for_each(rows, step_one, states, readings)
+
+    def _for_each(
+        self,
+        rows: np.ndarray,
+        simulate: Callable[[mujoco.MjData, int], None],
+        states: np.ndarray,
+        readings: Readings,
+    ) -> None:
+        # Shared: whichever thread is free takes the next, one at a time thanks to the GIL.
+        waiting = iter(rows.tolist())
+
+        def run(data: mujoco.MjData, fields: Readings) -> None:
+            for row in waiting:
+                simulate(data, row)
+                mujoco.mj_getState(self._model, data, states[row], self.state_spec)
+                for name, values in readings.items():
+                    values[row] = fields[name]
+
+        list(self._threads.map(run, self._data, self._fields))  # raises what they raise

@@ -7,6 +7,7 @@ import resource
 import statistics
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -16,10 +17,10 @@ import numpy as np
 
 from ailsrs_jax.components import random_search
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.mujoco_task import MujocoTask, without_warnings
 from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
-from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.envs.physics.mujoco_pools import available_cores
+from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import peers
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
@@ -73,7 +74,7 @@ def benchmark(
             speeds[engine] = measurement.rows[-1].env_steps_per_s
             yield measurement
         for name, peer in peers.PEERS.items():
-            if peer.is_installed():
+            if env_id in TASKS and peer.is_installed():
                 row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
                 ratios = {
                     f"{env_id} {engine} train / {row.stage}": speed / row.env_steps_per_s
@@ -153,11 +154,13 @@ def measure_peer(name: str, env_id: str, num_directions: int, episode_length: in
     """The speed of one peer."""
     set_up_jax()
     peer = peers.PEERS[name]
+    with without_warnings(), warnings.catch_warnings(action="ignore"):
+        speed = peer.measure(env_id, num_directions, episode_length)
     return Row(
         env=env_id,
         physics=peer.physics,
         stage=f"peer:{name}",
-        env_steps_per_s=peer.measure(env_id, num_directions, episode_length),
+        env_steps_per_s=speed,
         compile_s=None,
         peak_memory_mb=_peak_memory_mb(),
     )

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from ailsrs_jax.envs.mujoco_task import without_warnings
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.physics.mujoco_pools import available_cores
 from ailsrs_jax.envs.registry import short_name
 
 SECONDS = 3.0  # that a configuration of a vector environment is stepped for
+STEPS = 64_000  # of an epoch of Brax's, whose speed does not depend on the length of an episode
 
 
 def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
@@ -27,6 +28,7 @@ def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
 
     speeds: list[float] = []
     num_epochs = 3  # the first compiles
+    episode_length = min(episode_length, max(STEPS // (2 * num_directions), 1))
     ars.train(
         brax.envs.get_environment(short_name(env_id), backend="mjx"),
         num_timesteps=num_epochs * 2 * num_directions * episode_length,

@@ -19,7 +19,7 @@ from ailsrs_jax.components import random_search
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.mujoco_task import MujocoTask, without_warnings
 from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.physics.mujoco_pools import available_cores
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import peers

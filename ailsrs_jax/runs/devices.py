@@ -9,7 +9,7 @@ from jax.sharding import Mesh
 
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.mujoco_task import MujocoTask
-from ailsrs_jax.envs.physics.mujoco_pools import available_cores
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import cache_directory
 from ailsrs_jax.trainers.devices import AXIS, ONE_DEVICE, Devices

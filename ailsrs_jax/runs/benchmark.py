@@ -30,8 +30,6 @@ from ailsrs_jax.trainers.devices import EVERYWHERE, Devices, shared
 from ailsrs_jax.trainers.exploration import explore
 from ailsrs_jax.trainers.rollout import Rollout
 
-REPLAYED_AT_A_TIME = 50  # environment steps, so that the C engine's record of states stays small
-
 
 @dataclasses.dataclass(frozen=True)
 class Row:
@@ -89,8 +87,8 @@ def measure(
     """Bare physics, the rollout and the training step of one task on one engine, taking turns.
 
     All simulate the first iteration of the paper's preset, from zero weights; speeds are compared
-    turn by turn. Bare physics replays the actions of the rollout from the same initial states,
-    with no policy, observation, reward or end of an episode.
+    turn by turn. Bare physics replays the actions of the rollout from the same initial states, one
+    environment step after the other, with no policy, observation, reward or end of an episode.
     """
     set_up_jax()
     env = make_env(env_id, engine)
@@ -228,21 +226,20 @@ def _bare(
 
 
 def _bare_mujoco(env: MujocoTask, initial: PhysicsState, actions: np.ndarray) -> Callable[[], None]:
-    model, cores = env.physics.model, available_cores()
-    full_state = np.zeros(
-        (actions.shape[1], 1 + model.nq + model.nv)
-    )  # time, positions, velocities
-    full_state[:, 1:] = np.concatenate([initial.qpos, initial.qvel], axis=1)
-    controls = np.repeat(actions, env.physics.frame_skip, axis=1).astype(float)
+    model, frame_skip, cores = env.physics.model, env.physics.frame_skip, available_cores()
+    first = np.zeros((len(actions), 1 + model.nq + model.nv))  # time, positions, velocities
+    first[:, 1:] = np.concatenate([initial.qpos, initial.qvel], axis=1)
+    controls = np.repeat(actions, frame_skip, axis=1).astype(float)
     data = [mujoco.MjData(model) for _ in range(cores)]
     pool = mujoco.rollout.Rollout(nthread=cores)
 
     def replay() -> None:
-        state = full_state
-        chunk = REPLAYED_AT_A_TIME * env.physics.frame_skip
-        for start in range(0, controls.shape[1], chunk):
-            states, _ = pool.rollout(model, data, state, controls[:, start : start + chunk])
-            state = states[:, -1]
+        # One environment step in a call: who chooses actions can have no more. Fifty in a call,
+        # which leave a simulation in its cache, were 11 % faster on HalfCheetah, 5 % on Hopper.
+        state = first
+        for start in range(0, controls.shape[1], frame_skip):
+            steps, _ = pool.rollout(model, data, state, controls[:, start : start + frame_skip])
+            state = steps[:, -1]
 
     return replay
 

@@ -29,7 +29,7 @@ def main() -> None:
             )
             kept, last, best = returns[distances.argmin()], returns[-1], returns.max()
             rank = stats.spearmanr(distances, returns).statistic
-            print(  # noqa: T201
+            print(
                 f"{directory.name} seed {seed:.0f}: kept {kept:.0f}, last {last:.0f}, "
                 f"best {best:.0f}, Spearman {rank:.2f}"
             )

@@ -51,7 +51,7 @@ def main() -> None:
             if (iteration + 1) % 10 == 0 or iteration + 1 == num_iterations:
                 jax.effects_barrier()
                 packed, plain = (totals["live"] / totals[name] for name in ("slots", "plain"))
-                print(  # noqa: T201
+                print(
                     f"{iteration + 1} iterations: {totals['live']:,} live steps, utilization "
                     f"{packed:.3f}; without refilling {plain:.3f}",
                     flush=True,

@@ -63,7 +63,7 @@ def main() -> None:
     for env_id in [resolve_env_id(name) for name in sys.argv[1:]] or TASKS:
         arrays = visited(env_id)
         expected = velocities_after(env_id, "mujoco", arrays)
-        print(f"{env_id}, {len(expected)} states")  # noqa: T201
+        print(f"{env_id}, {len(expected)} states")
         for settings in SETTINGS:
             names = ("SOLVER_ITERATIONS", "LINE_SEARCH_ITERATIONS", "SOLVER_TOLERANCE")
             for name, value in zip(names, settings, strict=True):
@@ -71,7 +71,7 @@ def main() -> None:
             errors = abs(velocities_after(env_id, "mjx", arrays) - expected).max(axis=1)
             median, high = np.quantile(errors, [0.5, 0.99])
             summary = f"median {median:.1e}, p99 {high:.1e}, most {errors.max():.1e}"
-            print(f"  {settings}: {summary}", flush=True)  # noqa: T201
+            print(f"  {settings}: {summary}", flush=True)
 
 
 if __name__ == "__main__":

@@ -49,8 +49,11 @@ def gymnasium_vector(env_id: str) -> float:
 
     speeds = []
     with without_warnings():
-        for mode in ("async", "sync"):
-            envs = gymnasium.make_vec(env_id, available_cores(), vectorization_mode=mode)
+        # Forked processes could inherit a lock that JAX holds.
+        for mode, options in (("async", {"context": "spawn"}), ("sync", {})):
+            envs = gymnasium.make_vec(
+                env_id, available_cores(), vectorization_mode=mode, vector_kwargs=options
+            )
             envs.reset(seed=0)
             step = functools.partial(envs.step, envs.action_space.sample())
             speeds.append(_rate(step, envs.num_envs))

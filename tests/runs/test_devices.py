@@ -1,0 +1,64 @@
+import os
+import subprocess
+import sys
+
+import jax
+import pytest
+
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.runs import devices
+from tests.point_mass import PointMass
+
+REPORT = """
+import jax
+from ailsrs_jax.runs.devices import set_up_jax
+set_up_jax()
+print(jax.local_device_count(), jax.config.values["jax_compilation_cache_dir"])
+"""
+
+
+def set_up(**environment: str) -> list[str]:
+    result = subprocess.run(
+        [sys.executable, "-c", REPORT],
+        env=os.environ | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return result.stdout.split()
+
+
+def test_every_core_is_a_device_and_programs_are_kept() -> None:
+    count, cache = set_up(XDG_CACHE_HOME="/somewhere")
+    assert int(count) == available_cores()
+    assert cache == "/somewhere/ailsrs_jax/xla"
+
+
+def test_what_the_user_has_chosen_stays() -> None:
+    count, cache = set_up(JAX_NUM_CPU_DEVICES="3", JAX_COMPILATION_CACHE_DIR="/mine")
+    assert (count, cache) == ("3", "/mine")
+    count, _ = set_up(XLA_FLAGS="--xla_force_host_platform_device_count=5")
+    assert count == "5"
+
+
+@pytest.mark.parametrize(("num_directions", "expected"), [(320, 4), (6, 3), (7, 1), (1, 1)])
+def test_as_many_devices_as_share_the_directions(num_directions: int, expected: int) -> None:
+    assert jax.local_device_count() == 4  # as tests/conftest.py says
+    assert devices.choose_devices(PointMass(), num_directions).count == expected
+    assert devices.choose_devices(make_env("hopper", "mjx"), num_directions).count == expected
+
+
+def test_the_c_engine_has_all_cores_on_one_device() -> None:
+    assert devices.choose_devices(make_env("hopper", "mujoco"), 320).count == 1
+
+
+def test_slots_are_refilled_where_that_saves_something() -> None:
+    sizes = {
+        (name, physics): devices.choose_batch_size(make_env(name, physics))
+        for name in ("hopper", "halfcheetah")
+        for physics in ("mjx", "mujoco")
+    }
+    assert sizes.pop(("hopper", "mjx")) == devices.CPU_BATCH_SIZE
+    assert set(sizes.values()) == {None}
+    assert devices.choose_batch_size(PointMass()) == devices.CPU_BATCH_SIZE  # it might end early

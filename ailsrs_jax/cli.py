@@ -67,7 +67,7 @@ def train(
         preset: Settings found to work on the task, or the paper's Table I.
         settings: Settings to change; a wrong name lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        rollout_batch_size: Simulations of a device at a time, for less memory; same results.
+        rollout_batch_size: Simulations of a device at a time, for less memory.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Go on from the newest checkpoint in the output directory.
         distributed: One run on the devices of all processes of a SLURM, Open MPI, Kubernetes or
@@ -118,8 +118,6 @@ def train(
             f"interrupted; the same command with --output {escape(str(output))} --resume goes on"
         )
         sys.exit(130)
-    if not is_first_process():
-        return
 
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     for seed, policy in result.policies.items():
@@ -129,6 +127,8 @@ def train(
     expert = result.expert_returns
     table.add_row("expert", "", f"{expert.mean():.0f} ± {expert.std():.0f}", style="dim")
     console.print(table)
+    if not is_first_process():
+        return
     title = f"AILSRS on {config.env_id} from {config.num_trajectories} demonstrations"
     try:
         plot_training_curve(output, title, float(expert.mean()), result.kept_iterations)
@@ -272,8 +272,6 @@ def benchmark(
 ) -> None:
     """Measure bare physics, rollouts, training steps and the peers that are installed.
 
-    Example: ailsrs benchmark halfcheetah hopper --num-directions 32
-
     Args:
         envs: The tasks.
         physics: The engines.
@@ -288,7 +286,7 @@ def benchmark(
     from ailsrs_jax.runs.benchmark import Row, benchmark
 
     if min(num_directions, episode_length, repeats) < 1:
-        raise UserError("directions, episode length and repeats must be at least 1")
+        raise UserError("directions, episode length and repeats start at 1")
     env_ids = [resolve_env_id(env) for env in envs]
     engines = [choose_engine(engine)[0] for engine in physics]
     rows: list[Row] = []
@@ -297,7 +295,9 @@ def benchmark(
         for done in benchmark(env_ids, engines, num_directions, episode_length, repeats):
             rows += done.rows
             ratios |= done.ratios
-            status.update(f"measured {rows[-1].env} {rows[-1].physics} {rows[-1].stage}")
+            status.update(f"{len(rows)} measured")
+            if done.problem:
+                print(f"ailsrs: {done.problem}", file=sys.stderr)
     if as_json:
         rows_as_json = [dataclasses.asdict(row) for row in rows]
         print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))

@@ -50,6 +50,7 @@ class Measurement:
 
     rows: tuple[Row, ...]
     ratios: dict[str, float]  # of speeds
+    problem: str = ""  # why there are none
 
 
 def benchmark(
@@ -62,7 +63,7 @@ def benchmark(
     """Measure every task on every engine and with every peer, each in a process of its own.
 
     Raises:
-        UserError: a measurement failed.
+        UserError: a measurement of ours failed.
     """
     for env_id in env_ids:
         speeds: dict[str, float] = {}
@@ -73,7 +74,11 @@ def benchmark(
             yield measurement
         for name, peer in peers.PEERS.items():
             if env_id in TASKS and peer.is_installed():
-                row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
+                try:
+                    row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
+                except UserError as error:  # theirs: ours are still worth having
+                    yield Measurement((), {}, str(error))
+                    continue
                 ratios = {
                     f"{env_id} {engine} train / {row.stage}": speed / row.env_steps_per_s
                     for engine, speed in speeds.items()
@@ -97,6 +102,7 @@ def measure(
         num_directions=num_directions,
         num_top_directions=num_directions,
         episode_length=episode_length,
+        behavior_cloning_start=False,
     )
     devices = choose_devices(env, num_directions)
     trainer = make_ailsrs(env, _demonstrations(env), settings, devices, choose_batch_size(env))
@@ -208,7 +214,9 @@ def _bare(
 ) -> tuple[Callable[[], Any], float]:
     """Physics alone, under the given ``actions (B, T, p)``, and how long it took to compile."""
     _, exploration_key = jax.random.split(reset_key)
-    keys = jax.random.split(exploration_key, len(actions))
+    keys = jax.random.split(exploration_key, (2, len(actions) // 2))
+    # In the order of the episodes: those of each device's directions, then of their opposites.
+    keys = keys.reshape(2, devices.count, -1).swapaxes(0, 1).ravel()
     initial = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
     if env.physics.name == "mujoco":
         return _bare_mujoco(env, initial, actions), 0.0

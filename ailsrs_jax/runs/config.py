@@ -53,6 +53,11 @@ class RunConfig:
         if differences:
             raise UserError(f"cannot resume {path.parent}: {'; '.join(differences)}")
 
+    def fingerprint(self) -> int:
+        """A number that differs, in all likelihood, if anything of it does."""
+        text = json.dumps({**self._as_json(), "demonstrations": None}, sort_keys=True)
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+
     def _as_json(self) -> dict[str, Any]:
         fields: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
         return fields

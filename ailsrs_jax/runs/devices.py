@@ -2,9 +2,11 @@
 
 import contextlib
 import os
+from collections.abc import Iterator
 
 import jax
 import numpy as np
+from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 
 from ailsrs_jax.envs import Env
@@ -48,6 +50,30 @@ def join_processes() -> None:
 def is_first_process() -> bool:
     """Whether this process writes and prints for all of them."""
     return jax.process_index() == 0
+
+
+@contextlib.contextmanager
+def together(fingerprint: int) -> Iterator[None]:
+    """Let the processes of a run go on together, or fail together, where one alone would wait.
+
+    Raises:
+        UserError: what was raised inside; or that another process failed there, or that they were
+            given different things to do, which ``fingerprint`` tells.
+    """
+    problem: UserError | None = None
+    try:
+        yield
+    except UserError as error:
+        problem = error
+    if jax.process_count() > 1:
+        mine = np.array([fingerprint, problem is not None])
+        prints, failed = multihost_utils.process_allgather(mine).T
+        if problem is None and failed.any():
+            problem = UserError("the run could not start in another process")
+        elif problem is None and len(set(prints.tolist())) > 1:
+            problem = UserError("the processes have different commands or demonstrations")
+    if problem is not None:
+        raise problem
 
 
 def choose_devices(env: Env, num_directions: int) -> Devices:

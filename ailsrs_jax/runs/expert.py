@@ -82,8 +82,8 @@ def search_expert(
             kept = state.kept
             if watch is not None:
                 watch(report)
-    finally:  # also when interrupted: what was found is not lost
+    finally:  # also when interrupted: what was found is not lost, and nothing replaced by nothing
         policy = saved_policy(jax.tree.map(lambda x: x[0], kept.policy), task.env_id)
-        if output is not None:
+        if output is not None and np.isfinite(kept.score[0]):
             policy.save(output)
     return policy

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 
 from ailsrs_jax.envs.mujoco_task import without_warnings
@@ -28,11 +29,15 @@ def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
 
     speeds: list[float] = []
     num_epochs = 3  # the first compiles
+    num_devices = jax.local_device_count()
+    while 2 * num_directions % num_devices:  # it wants the same number on each
+        num_devices -= 1
     episode_length = min(episode_length, max(STEPS // (2 * num_directions), 1))
     ars.train(
         brax.envs.get_environment(short_name(env_id), backend="mjx"),
         num_timesteps=num_epochs * 2 * num_directions * episode_length,
         episode_length=episode_length,
+        max_devices_per_host=num_devices,
         number_of_directions=num_directions,
         top_directions=num_directions,
         normalize_observations=True,

@@ -28,6 +28,7 @@ from ailsrs_jax.runs.devices import (
     choose_devices,
     is_first_process,
     set_up_jax,
+    together,
 )
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.presets import preset_settings
@@ -91,8 +92,8 @@ def train(
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
         output: a run directory to write; without it nothing is written.
         resume: go on from the newest checkpoint in ``output``.
-        rollout_batch_size: simulations of a device at a time, for less memory; the results stay
-            the same. By default all, or what is fastest.
+        rollout_batch_size: simulations of a device at a time, for less memory; the results are
+            the same but for rounding. By default all, or what is fastest.
         watch: called after every iteration.
         settings: fields of :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings` to change.
 
@@ -177,7 +178,8 @@ def execute(
     """
     config, settings = plan.config, plan.config.settings
     if output is not None:
-        _prepare_directory(output, config, resume)
+        with together(config.fingerprint()):
+            _prepare_directory(output, config, resume)
     elif resume:
         raise UserError("resume needs output, the directory of the run to go on with")
     trainer = make_ailsrs(

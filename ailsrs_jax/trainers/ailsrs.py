@@ -17,6 +17,7 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import explore
@@ -81,7 +82,7 @@ class Ailsrs:
     """Imitates ``expert`` in ``env``, whose reward is measured but never used.
 
     Directions are shared by ``devices``, and each simulates ``rollout_batch_size`` episodes at a
-    time, by default all of its share; the results do not depend on either.
+    time, by default all of its share; the results depend on neither but by rounding.
     """
 
     env: Env
@@ -200,14 +201,22 @@ class Ailsrs:
             )
 
         evaluation = batch.episodes(0, num_evaluations)
-        distance = self._distance_to_expert(distance_key, evaluation)
+        inputs = self.expert.discriminator_inputs(evaluation.observations, evaluation.actions)
+        # Beside other episodes on each device, which can change the last bits.
+        evaluated = devices.agree(
+            {
+                "evaluation_return": evaluation.env_returns.mean(),
+                "evaluation_length": evaluation.lengths.mean(),
+                "expert_distance": self.expert.distance(
+                    distance_key, inputs, evaluation.lengths, settings.episode_length
+                ),
+            }
+        )
         metrics = {
-            "evaluation_return": evaluation.env_returns.mean(),
-            "evaluation_length": evaluation.lengths.mean(),
-            "expert_distance": distance,
+            **evaluated,
             "imitation_reward": jnp.mean(jnp.stack([returns_plus, returns_minus])),
             **discriminator_metrics,
-            "env_steps": lengths.sum() + evaluation.env_steps,
+            "env_steps": lengths.sum() + devices.agree(evaluation.env_steps),
         }
         state = TrainState(
             weights=weights,
@@ -215,7 +224,7 @@ class Ailsrs:
             discriminator=parameters,
             optimizer=optimizer,
             memory=memory,
-            kept=state.kept.offer(policy, -distance, state.iteration),
+            kept=state.kept.offer(policy, -evaluated["expert_distance"], state.iteration),
             key=key,
             iteration=state.iteration + 1,
         )
@@ -304,10 +313,6 @@ class Ailsrs:
         totals = episodes.sum_over_steps(rewards)
         return totals / episodes.lengths if self.settings.reward_reduction == "mean" else totals
 
-    def _distance_to_expert(self, key: jax.Array, episodes: Rollout) -> jax.Array:
-        inputs = self.expert.discriminator_inputs(episodes.observations, episodes.actions)
-        return self.expert.distance(key, inputs, episodes.lengths, self.settings.episode_length)
-
 
 def make_ailsrs(
     env: Env,
@@ -319,8 +324,11 @@ def make_ailsrs(
     """Prepare the demonstrations for training in ``env``; see :class:`Ailsrs`.
 
     Raises:
-        UserError: the directions cannot be shared evenly by the devices.
+        UserError: the directions cannot be shared evenly, or there are too many steps to count.
     """
     devices.require_share(settings.num_directions)
+    steps = 2 * settings.num_directions * settings.episode_length * settings.memory_iterations
+    if steps >= 2**31:
+        raise UserError(f"{steps} steps in num_directions x memory_iterations: below 2^31 is exact")
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     return Ailsrs(env, settings, expert, devices, rollout_batch_size)

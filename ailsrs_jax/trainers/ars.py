@@ -125,11 +125,14 @@ class Ars:
             scale_by_std=settings.scale_by_std,
         )
         evaluation = batch.episodes(0, num_evaluations)
-        evaluation_return = evaluation.env_returns.mean()
+        # Beside other episodes on each device, which can change the last bits.
+        evaluation_return, evaluation_length, evaluation_steps = devices.agree(
+            (evaluation.env_returns.mean(), evaluation.lengths.mean(), evaluation.env_steps)
+        )
         metrics = {
             "evaluation_return": evaluation_return,
-            "evaluation_length": evaluation.lengths.mean(),
-            "env_steps": devices.sum(batch.lengths[num_evaluations:].sum()) + evaluation.env_steps,
+            "evaluation_length": evaluation_length,
+            "env_steps": devices.sum(batch.lengths[num_evaluations:].sum()) + evaluation_steps,
         }
         state = TrainState(
             weights=weights,

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 
 from ailsrs_jax.errors import UserError
@@ -49,8 +50,8 @@ class Devices:
         """``function`` as every device runs it, on its parts of arguments and results."""
         if self.mesh is None:
             return function
-        # What is said to be the same everywhere was computed from the same numbers by the same
-        # program on all devices, which JAX cannot see.
+        # What is said to be the same everywhere is computed from the same numbers on all devices,
+        # or agreed upon, which JAX cannot see.
         return jax.shard_map(
             function, mesh=self.mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False
         )
@@ -63,6 +64,7 @@ class Devices:
 
     def mine(self, array: jax.Array, axis: int = 0) -> jax.Array:
         """This device's part of an ``array`` that is the same everywhere."""
+        self.require_share(array.shape[axis])
         size = array.shape[axis] // self.count
         return jax.lax.dynamic_slice_in_dim(array, self.first(array, axis), size, axis)
 
@@ -71,6 +73,13 @@ class Devices:
         if self.mesh is None:
             return part
         return jax.lax.all_gather(part, AXIS, axis=axis, tiled=True)
+
+    def agree(self, tree: Tree) -> Tree:
+        """What the first device has, of numbers that can differ in their last bits."""
+        if self.mesh is None:
+            return tree
+        is_first = jax.lax.axis_index(AXIS) == 0
+        return self.sum(jax.tree.map(lambda x: jnp.where(is_first, x, jnp.zeros_like(x)), tree))
 
     def sum(self, tree: Tree) -> Tree:
         """The sum of what all devices have."""

@@ -10,8 +10,8 @@ from flax import struct
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs import Env, State
 
-# Once no episode waits and so few slots are busy, the rest is simulated in only so many. Every
-# width is one more copy of the physics to compile, so there are two.
+# Once no episode waits and at most one slot in so many is busy, the rest is simulated in only
+# those. Every width is one more copy of the physics to compile, so there are two.
 NARROWING = 8
 
 SLICE_LENGTH = 50  # steps of all episodes that are looked at together

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from jax.sharding import Mesh
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.trainers.ailsrs import Ailsrs, AilsrsSettings, make_ailsrs
 from ailsrs_jax.trainers.ars import Ars, ArsSettings
 from ailsrs_jax.trainers.devices import AXIS, Devices
@@ -89,12 +91,14 @@ def test_directions_and_episodes_are_the_same_bits(point_mass: PointMass, alone:
             np.testing.assert_array_equal(values, reference)
 
 
-def test_a_state_saved_from_many_devices_continues_on_one(alone: Ailsrs) -> None:
+def test_a_state_saved_from_many_devices_continues_on_one(alone: Ailsrs, tmp_path: Path) -> None:
     many = dataclasses.replace(alone, devices=devices(4))
     state, _ = jax.jit(many.update)(jax.jit(many.init)(jax.random.key(0)))
     assert not state.memory.steps.sharding.is_fully_replicated
-    on_host = jax.device_get(state.replace(key=jax.random.key_data(state.key)))
-    moved = on_host.replace(key=jax.random.wrap_key_data(on_host.key))
+    with Checkpoints(tmp_path, 1) as checkpoints:
+        checkpoints.save(1, state, force=True)
+    with Checkpoints(tmp_path, 1) as checkpoints:
+        _, moved = checkpoints.restore(jax.jit(alone.init)(jax.random.key(0)))
     after, _ = jax.jit(alone.update)(moved)
     expected, _ = jax.jit(many.update)(state)
     np.testing.assert_allclose(after.weights, expected.weights, rtol=1e-3, atol=1e-5)

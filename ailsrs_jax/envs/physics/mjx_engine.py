@@ -118,7 +118,11 @@ class MjxPhysics:
         zeros = jnp.zeros_like(start.qvel)
         tableau = jnp.array(STAGE_FRACTIONS), jnp.array(STAGE_WEIGHTS)
         (data, velocity, acceleration), _ = jax.lax.scan(stage, (start, zeros, zeros), tableau)
-        return data.replace(qpos=positions(velocity), qvel=start.qvel + timestep * acceleration)
+        return data.replace(
+            qpos=positions(velocity),
+            qvel=start.qvel + timestep * acceleration,
+            qacc_warmstart=data.qacc,
+        )
 
     def _read_forces_too(self, data: mjx.Data) -> dict[str, jax.Array]:
         if "cfrc_ext" in self.readings:  # no part of a physics step

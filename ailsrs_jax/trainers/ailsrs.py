@@ -63,8 +63,7 @@ class TrainState(struct.PyTreeNode):
     iteration: jax.Array  # () int32
 
 
-# Where each part of the state is: everywhere, but for the steps that each device remembers of its
-# own episodes.
+# Where each part of the state is: each device remembers steps of its own episodes only.
 STATE_SPECS = TrainState(
     weights=EVERYWHERE,
     statistics=EVERYWHERE,
@@ -94,8 +93,7 @@ class Ailsrs:
 
     def init(self, key: jax.Array) -> TrainState:
         """The paper's start, all weights zero and no statistics; or behaviour cloning's."""
-        state: TrainState = self.devices.split(self._init, STATE_SPECS, EVERYWHERE)(key)
-        return state
+        return self.devices.split(self._init, STATE_SPECS, EVERYWHERE)(key)
 
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """One iteration of the paper's Algorithm 2.
@@ -104,9 +102,7 @@ class Ailsrs:
         its distance to the expert, which decides what to keep, and its return, for people to see;
         neither the search nor the discriminator learns from them.
         """
-        update = self.devices.split(self._update, (STATE_SPECS, EVERYWHERE), STATE_SPECS)
-        result: tuple[TrainState, Metrics] = update(state)
-        return result
+        return self.devices.split(self._update, (STATE_SPECS, EVERYWHERE), STATE_SPECS)(state)
 
     def train(self, key: jax.Array) -> tuple[TrainState, Metrics]:
         """The whole run as one function of a key; metrics are stacked over iterations."""
@@ -244,8 +240,8 @@ class Ailsrs:
 
     def _step_size(self, iteration: jax.Array) -> jax.Array:
         settings = self.settings
-        progress = iteration / max(settings.num_iterations - 1, 1)
-        return settings.step_size + progress * (settings.final_step_size - settings.step_size)
+        done = iteration / max(settings.num_iterations - 1, 1)
+        return settings.step_size + done * (settings.final_step_size - settings.step_size)
 
     def _sample_inputs(self, key: jax.Array, batch: Rollout) -> jax.Array:
         """``(2, N', k, n + p)`` discriminator inputs of k live steps of each perturbed policy."""
@@ -257,9 +253,8 @@ class Ailsrs:
         lengths = batch.lengths[first:, None]
         time = jnp.minimum((fractions * lengths).astype(jnp.int32), lengths - 1)
         episode = first + jnp.arange(len(time))[:, None]
-        inputs = self.expert.discriminator_inputs(
-            batch.observations[episode, time], batch.actions[episode, time]
-        )
+        steps = batch.observations[episode, time], batch.actions[episode, time]
+        inputs = self.expert.discriminator_inputs(*steps)
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
     def _train_discriminator(

@@ -71,9 +71,7 @@ class Ars:
 
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
         """One iteration: perturb, roll out, step; then merge the states met."""
-        update = self.devices.split(self._update, EVERYWHERE, EVERYWHERE)
-        result: tuple[TrainState, dict[str, jax.Array]] = update(state)
-        return result
+        return self.devices.split(self._update, EVERYWHERE, EVERYWHERE)(state)
 
     def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         """The whole run as one function of a key; metrics are stacked over iterations."""

@@ -15,9 +15,11 @@ def test_two_steps_are_those_of_mjx() -> None:
 
     @jax.jit
     def ours() -> tuple[jax.Array, ...]:
-        state = engine.init(qpos, qvel)
-        for ctrl in controls:
-            state = engine.step(state, ctrl, jnp.array(True))
+        state, _ = jax.lax.scan(
+            lambda state, ctrl: (engine.step(state, ctrl, jnp.array(True)), None),
+            engine.init(qpos, qvel),
+            controls,
+        )
         return state.qpos, state.qvel, state.carry
 
     @jax.jit

@@ -10,7 +10,7 @@ from ailsrs_jax.runs import benchmark, peers
 from ailsrs_jax.runs.benchmark import Measurement, measure
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
+@pytest.mark.parametrize("engine", ["mujoco", pytest.param("mjx", marks=pytest.mark.slow)])
 def test_stages_of_one_engine(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     done: Measurement = measure("HalfCheetah-v5", engine, 4, 20, 3)
@@ -34,8 +34,8 @@ def test_peers_that_are_not_installed_are_left_out(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_measurement_that_fails_is_one_line() -> None:
-    with pytest.raises(UserError, match=r"measure.*failed: KeyError"):
-        list(benchmark.benchmark(["no task"], ["mujoco"], 1, 1, 1))
+    with pytest.raises(UserError, match=r"int\('x',\) failed: ValueError"):
+        benchmark._in_a_process(int, "x")
 
 
 def test_gymnasium_is_stepped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,10 +44,9 @@ def alone(point_mass: PointMass, point_mass_expert: Demonstrations) -> Ailsrs:
     return make_ailsrs(point_mass, point_mass_expert, SETTINGS)
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
-def test_a_run_on_many_devices(count: int, alone: Ailsrs) -> None:
+def test_a_run_on_many_devices(alone: Ailsrs) -> None:
     """Three iterations of two seeds, as the command line runs them."""
-    many = dataclasses.replace(alone, devices=devices(count))
+    many = dataclasses.replace(alone, devices=devices(4))
     seeds = jnp.array([0, 3])
     results = [
         jax.jit(jax.vmap(lambda seed, t=trainer: t.train(jax.random.key(seed))))(seeds)
@@ -138,14 +137,13 @@ def test_only_returns_lengths_moments_and_gradients_cross(alone: Ailsrs) -> None
     assert ("all-reduce", (100, 100)) in shapes
 
 
-@pytest.mark.parametrize("count", [2, 4])
-def test_random_search_on_the_environments_reward(count: int, point_mass: PointMass) -> None:
+def test_random_search_on_the_environments_reward(point_mass: PointMass) -> None:
     settings = ArsSettings(
         num_iterations=3, num_directions=8, noise_std=0.1, episode_length=EPISODE_LENGTH
     )
     results = [
         jax.jit(Ars(point_mass, settings, where).train)(jax.random.key(0))
-        for where in (Devices(), devices(count))
+        for where in (Devices(), devices(4))
     ]
     (state, metrics), (many_state, many_metrics) = results
     np.testing.assert_allclose(many_state.weights, state.weights, rtol=1e-3, atol=1e-5)

@@ -97,6 +97,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "expert hopper --seed -1 --output expert.npz",
         "train hopper --num-trajectories 0",
         "train hopper --rollout-batch-size 0",
+        "train hopper --set num_directions=3000000 --output run",
         "train hopper --distributed",
         "train hopper --distributed --output run",
         "benchmark hoper",

@@ -25,7 +25,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import peers
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
 from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
+from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
 from ailsrs_jax.trainers.devices import EVERYWHERE, Devices, shared
 from ailsrs_jax.trainers.exploration import explore
 from ailsrs_jax.trainers.rollout import Rollout
@@ -108,7 +108,7 @@ def measure(
     trainer = make_ailsrs(env, _demonstrations(env), settings, devices, choose_batch_size(env))
     state = jax.jit(trainer.init)(jax.random.key(0))
     noise_key, reset_key = jax.random.split(jax.random.key(1))
-    rollout, rollout_compile_s = _compile(_rollout(trainer, noise_key, reset_key))
+    rollout, rollout_compile_s = _compile(_rollout(trainer, state, noise_key, reset_key))
     update, update_compile_s = _compile(trainer.update, state)
     episodes = rollout()
     bare, bare_compile_s = _bare(env, devices, np.asarray(episodes.actions), reset_key)
@@ -182,10 +182,11 @@ def _demonstrations(env: MujocoTask) -> Demonstrations:
     )
 
 
-def _rollout(trainer: Ailsrs, noise_key: jax.Array, reset_key: jax.Array) -> Callable[[], Rollout]:
+def _rollout(
+    trainer: Ailsrs, state: TrainState, noise_key: jax.Array, reset_key: jax.Array
+) -> Callable[[], Rollout]:
     """The perturbed policies' episodes, with the slots' steps of all devices."""
     settings, devices = trainer.settings, trainer.devices
-    state = trainer.init(jax.random.key(0))
 
     def on_one_device() -> Rollout:
         deltas = random_search.sample_directions(

@@ -162,7 +162,6 @@ def make_plan(
         settings=settings,
     )
     devices = choose_devices(task, settings.num_directions)
-    devices.require_share(settings.num_directions)
     if rollout_batch_size is None:
         rollout_batch_size = choose_batch_size(task)
     return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
@@ -177,14 +176,15 @@ def execute(
         UserError: the directory holds another run, or cannot be written.
     """
     config, settings = plan.config, plan.config.settings
+    # First of all, because it refuses what it cannot train, and then nothing is to be written.
+    trainer = make_ailsrs(
+        plan.env, plan.demonstrations, settings, plan.devices, plan.rollout_batch_size
+    )
     if output is not None:
         with together(config.fingerprint()):
             _prepare_directory(output, config, resume)
     elif resume:
         raise UserError("resume needs output, the directory of the run to go on with")
-    trainer = make_ailsrs(
-        plan.env, plan.demonstrations, settings, plan.devices, plan.rollout_batch_size
-    )
     init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
     seeds = np.array(config.seeds, np.int32)
     progress = {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}

@@ -17,7 +17,7 @@ from ailsrs_jax.envs.registry import TASKS, make_env
 
 WITH_EXPERT = [env_id for env_id in TASKS if env_id not in ("Ant-v5", "Humanoid-v5")]
 TOLERANCES = {"mujoco": 1e-5, "mjx": 2e-3}
-# Of the velocities after a step [m/s, rad/s]: median and 99th percentile. The Humanoid's
+# Of the velocities after a step [m/s, rad/s]: median, and 99th percentile of the worst of a step. The Humanoid's
 # own solver (PGS) is not as precise.
 MAX_VELOCITY_ERRORS = dict.fromkeys(TASKS, (1e-5, 5e-4)) | {"Humanoid-v5": (5e-5, 1e-3)}
 
@@ -182,7 +182,7 @@ def test_one_step_from_gymnasiums_states(env_id: str, physics: str) -> None:
     velocity_errors = assert_agree(make_env(env_id, physics), steps, TOLERANCES[physics])
     median, percentile = MAX_VELOCITY_ERRORS[env_id]
     assert np.median(velocity_errors) < median
-    assert np.quantile(velocity_errors, 0.99) < percentile
+    assert np.quantile(velocity_errors.max(axis=1), 0.99) < percentile
 
 
 @pytest.mark.parametrize("env_id", TASKS)

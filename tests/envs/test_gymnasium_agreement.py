@@ -17,8 +17,8 @@ from ailsrs_jax.envs.registry import TASKS, make_env
 
 WITH_EXPERT = [env_id for env_id in TASKS if env_id not in ("Ant-v5", "Humanoid-v5")]
 TOLERANCES = {"mujoco": 1e-5, "mjx": 2e-3}
-# Of the velocities after a step [m/s, rad/s]: median, and 99th percentile of the worst of a step. The Humanoid's
-# own solver (PGS) is not as precise.
+# Of the velocities after a step [m/s, rad/s]: median, and 99th percentile of the worst of a step.
+# The Humanoid's own solver (PGS) is not as precise.
 MAX_VELOCITY_ERRORS = dict.fromkeys(TASKS, (1e-5, 5e-4)) | {"Humanoid-v5": (5e-5, 1e-3)}
 
 NON_DEFAULT_FLAGS: dict[str, dict[str, Any]] = {

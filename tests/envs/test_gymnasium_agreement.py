@@ -157,17 +157,12 @@ def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> np.ndarray:
     return np.abs(physics_state.qvel - steps.next_qvel)
 
 
-# The others take long to compile on MJX.
-COMPILED_SOON = ("HalfCheetah-v5", "Hopper-v5")
+# Humanoid takes long to compile on MJX.
 EVERYWHERE = pytest.mark.parametrize(
     ("env_id", "physics"),
     [
-        pytest.param(
-            env_id,
-            physics,
-            marks=pytest.mark.slow if physics == "mjx" and env_id not in COMPILED_SOON else (),
-        )
-        for env_id, physics in itertools.product(TASKS, ENGINES)
+        pytest.param(*case, marks=pytest.mark.slow if case == ("Humanoid-v5", "mjx") else ())
+        for case in itertools.product(TASKS, ENGINES)
     ],
 )
 

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from ailsrs_jax.runs.tracking import read_rows
 
@@ -32,7 +31,6 @@ def finish(process: subprocess.Popen[str]) -> str:
     return output
 
 
-@pytest.mark.slow
 def test_two_processes_are_one_run(tmp_path: Path) -> None:
     job = {
         "SLURM_JOB_ID": str(random.randrange(10**6)),  # JAX takes its port from this

@@ -1,14 +1,17 @@
 """How fast tasks are stepped here: bare physics, rollouts, training steps and installed peers."""
 
 import concurrent.futures
+import contextlib
 import dataclasses
 import multiprocessing
+import os
 import resource
 import statistics
 import sys
+import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,7 +20,7 @@ import numpy as np
 
 from ailsrs_jax.components import random_search
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs.mujoco_task import MujocoTask, without_warnings
+from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import PhysicsState
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS, make_env
@@ -158,7 +161,7 @@ def measure_peer(name: str, env_id: str, num_directions: int, episode_length: in
     """The speed of one peer."""
     set_up_jax()
     peer = peers.PEERS[name]
-    with without_warnings(), warnings.catch_warnings(action="ignore"):
+    with _unheard():
         speed = peer.measure(env_id, num_directions, episode_length)
     return Row(
         env=env_id,
@@ -168,6 +171,23 @@ def measure_peer(name: str, env_id: str, num_directions: int, episode_length: in
         compile_s=None,
         peak_memory_mb=_peak_memory_mb(),
     )
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep what peers and their own processes warn about off the terminal and out of files here."""
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        contextlib.chdir(directory),
+        Path(os.devnull).open("w") as nowhere,
+    ):
+        stderr = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
 
 
 def _demonstrations(env: MujocoTask) -> Demonstrations:

@@ -7,6 +7,8 @@ if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
     from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
+    from ailsrs_jax.data.policies import SavedLinearPolicy as SavedLinearPolicy
+    from ailsrs_jax.data.policies import SavedMlpPolicy as SavedMlpPolicy
     from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
     from ailsrs_jax.data.policies import load_policy as load_policy
     from ailsrs_jax.envs.mujoco_task import MujocoTask as MujocoTask
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
     from ailsrs_jax.runs.expert import train_expert as train_expert
+    from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
     from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import train as train
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
@@ -22,6 +25,18 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
     from ailsrs_jax.trainers.ars import Ars as Ars
     from ailsrs_jax.trainers.ars import ArsSettings as ArsSettings
+    from ailsrs_jax.trainers.ars import make_ars as make_ars
+    from ailsrs_jax.trainers.behavior_cloning import BehaviorCloning as BehaviorCloning
+    from ailsrs_jax.trainers.behavior_cloning import (
+        BehaviorCloningSettings as BehaviorCloningSettings,
+    )
+    from ailsrs_jax.trainers.behavior_cloning import make_behavior_cloning as make_behavior_cloning
+    from ailsrs_jax.trainers.gail import Gail as Gail
+    from ailsrs_jax.trainers.gail import GailSettings as GailSettings
+    from ailsrs_jax.trainers.gail import make_gail as make_gail
+    from ailsrs_jax.trainers.trpo import Trpo as Trpo
+    from ailsrs_jax.trainers.trpo import TrpoSettings as TrpoSettings
+    from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
 
 # Where each public name lives. They are imported when first used: JAX takes seconds to import, and
 # the command line should answer before that.
@@ -30,16 +45,29 @@ _HOMES = {
     "AilsrsSettings": "trainers.ailsrs",
     "Ars": "trainers.ars",
     "ArsSettings": "trainers.ars",
+    "BehaviorCloning": "trainers.behavior_cloning",
+    "BehaviorCloningSettings": "trainers.behavior_cloning",
     "Demonstrations": "data.demonstrations",
+    "Gail": "trainers.gail",
+    "GailSettings": "trainers.gail",
     "MujocoTask": "envs.mujoco_task",
+    "PpoSettings": "runs.ppo",
+    "SavedLinearPolicy": "data.policies",
+    "SavedMlpPolicy": "data.policies",
     "SavedPolicy": "data.policies",
+    "Trpo": "trainers.trpo",
+    "TrpoSettings": "trainers.trpo",
     "UserError": "errors",
     "demonstrate": "runs.demonstrate",
     "evaluate": "runs.evaluation",
     "load_demonstrations": "data.demonstrations",
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
+    "make_ars": "trainers.ars",
+    "make_behavior_cloning": "trainers.behavior_cloning",
     "make_env": "envs.registry",
+    "make_gail": "trainers.gail",
+    "make_trpo": "trainers.trpo",
     "preset_settings": "runs.presets",
     "save_demonstrations": "data.demonstrations",
     "train": "runs.run",

@@ -28,6 +28,7 @@ EnvName = Annotated[
         help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
     ),
 ]
+AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
 PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
 Settings = Annotated[
@@ -42,6 +43,7 @@ console = Console()
 @app.command
 def train(
     env: Positional[EnvName],
+    algorithm: AlgorithmName = "ailsrs",
     demonstrations: Path | None = None,
     num_trajectories: int | None = None,
     seeds: Seeds = (),
@@ -54,17 +56,19 @@ def train(
     resume: bool = False,
     distributed: bool = False,
 ) -> None:
-    """Train a linear policy to imitate demonstrations.
+    """Train a policy to imitate demonstrations, or on the environment's reward.
 
     Example: ailsrs train hopper --num-trajectories 10 --seeds 0 1 2
 
     Args:
         env: The task.
+        algorithm: ailsrs, bc (behaviour cloning) and gail imitate; ars, brs (augmented and basic
+            random search) and trpo learn from the environment's reward.
         demonstrations: A demonstration file; without it, the expert that ships with the package.
         num_trajectories: Use the first so many; by default 10 of the shipped expert, else all.
         seeds: Random seeds, trained together as one batched program; by default 0.
         iterations: How many iterations to run, instead of the preset's.
-        preset: Settings found to work on the task, or the paper's Table I.
+        preset: Settings found to work on the task, or those of the algorithm's paper.
         settings: Settings to change; a wrong name lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
         rollout_batch_size: Simulations of a device at a time, for less memory.
@@ -74,14 +78,16 @@ def train(
             Cloud TPU job, each of which is started with the same command.
     """
     from ailsrs_jax.plotting import plot_training_curve
-    from ailsrs_jax.progress import RunProgress
+    from ailsrs_jax.progress import RunProgress, print_results
     from ailsrs_jax.runs import run
+    from ailsrs_jax.runs.algorithms import find_algorithm
     from ailsrs_jax.runs.devices import is_first_process, join_processes
-    from ailsrs_jax.runs.evaluation import evaluate
 
     if distributed:
         if output is None:
             raise UserError("--distributed needs --output, a directory that all processes see")
+        if not find_algorithm(algorithm).searches:
+            raise UserError(f"--distributed: {algorithm} has no directions to share")
         join_processes()
         console.quiet = not is_first_process()
 
@@ -96,16 +102,20 @@ def train(
         physics,
         assignments,
         rollout_batch_size,
+        algorithm,
     )
     config = plan.config
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to go on with")
     name = env.replace(":", ".")  # a colon has a meaning in paths of scp, and on Windows
     output = output or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    learns_from = "the environment's reward"
+    if config.num_trajectories:
+        learns_from = f"{config.num_trajectories} demonstrations {config.demonstrations}"
+    title = f"{plan.algorithm.title} on {config.env_id}"
     console.print(
-        f"[bold]{config.env_id}[/] · {config.num_trajectories} demonstrations "
-        f"{escape(config.demonstrations)} · preset {preset} · seeds {' '.join(map(str, chosen))}\n"
-        f"physics {config.physics} ({plan.physics_reason}) · "
+        f"[bold]{title}[/] · {escape(learns_from)} · preset {preset} · seeds "
+        f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({plan.physics_reason}) · "
         f"devices: {plan.devices.count} · {escape(str(output))}",
         highlight=False,
         soft_wrap=True,
@@ -119,19 +129,13 @@ def train(
         )
         sys.exit(130)
 
-    table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
-    for seed, policy in result.policies.items():
-        final = evaluate(policy, physics=physics)
-        kept = str(result.kept_iterations[seed])
-        table.add_row(str(seed), kept, f"{final.mean:.0f} ± {final.std:.0f}")
-    expert = result.expert_returns
-    table.add_row("expert", "", f"{expert.mean():.0f} ± {expert.std():.0f}", style="dim")
-    console.print(table)
+    print_results(console, result, physics)
     if not is_first_process():
         return
-    title = f"AILSRS on {config.env_id} from {config.num_trajectories} demonstrations"
+    if config.num_trajectories:
+        title += f" from {config.num_trajectories} demonstrations"
     try:
-        plot_training_curve(output, title, float(expert.mean()), result.kept_iterations)
+        plot_training_curve(output, title, result)
     except ImportError:
         console.print("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
     console.print(f"policies, metrics and training curve are in {escape(str(output))}")
@@ -143,6 +147,7 @@ def evaluate(
     episodes: int = 100,
     physics: Annotated[str, arg(metavar="gymnasium|auto|mjx|mujoco")] = "gymnasium",
     seed: int = 0,
+    stochastic: bool = False,
     as_json: Annotated[bool, arg(name="json")] = False,
 ) -> None:
     """Measure the return of a policy, or of every seed of a run.
@@ -154,6 +159,7 @@ def evaluate(
         episodes: Episodes of each policy, at most 1000 steps long.
         physics: gymnasium is the real environment with the policy in NumPy.
         seed: Of the initial states.
+        stochastic: Draw the actions of a Gaussian policy, instead of taking their mean.
         as_json: Print JSON.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
@@ -164,7 +170,7 @@ def evaluate(
     rows: list[dict[str, Any]] = []
     for path in policy_files(policy):
         loaded = load_policy(path)
-        result = evaluation.evaluate(loaded, episodes, physics, seed)
+        result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
         rows.append(
             {
                 "policy": str(path),
@@ -194,6 +200,7 @@ def demonstrate(
     expert: Path | None = None,
     physics: PhysicsName = "auto",
     seed: int = 0,
+    action_noise: float = 0.0,
 ) -> None:
     """Roll out an expert and write a demonstration file.
 
@@ -206,6 +213,7 @@ def demonstrate(
         expert: The expert's policy.npz; without it, the one that ships with the package.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
         seed: Of the initial states.
+        action_noise: Standard deviation of Gaussian noise added to the expert's actions.
     """
     from ailsrs_jax.data.demonstrations import save_demonstrations
     from ailsrs_jax.data.policies import expert_path, load_policy
@@ -216,7 +224,9 @@ def demonstrate(
     policy = load_policy(expert or expert_path(env_id))
     if policy.env_id != env_id:
         raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
-    demonstrations = demonstrate.demonstrate(policy, num_trajectories, physics=physics, seed=seed)
+    demonstrations = demonstrate.demonstrate(
+        policy, num_trajectories, physics=physics, seed=seed, action_noise=action_noise
+    )
     save_demonstrations(demonstrations, output)
     returns = demonstrations.returns
     console.print(
@@ -230,19 +240,19 @@ def demonstrate(
 def expert(
     env: Positional[EnvName],
     output: Path,
-    iterations: int | None = None,
+    algorithm: Annotated[str, arg(metavar="ppo|ars")] = "ppo",
     settings: Settings = (),
     physics: PhysicsName = "auto",
     seed: int = 0,
 ) -> None:
-    """Train an expert on the environment's reward, by augmented random search.
+    """Train an expert on the environment's reward.
 
-    Example: ailsrs expert swimmer --output swimmer_expert.npz
+    Example: ailsrs expert hopper --set stop_at=3245 --output hopper_expert.npz
 
     Args:
         env: The task.
         output: The policy file to write: the best policy met.
-        iterations: How many iterations to run, instead of the preset's.
+        algorithm: Brax's PPO of a neural policy, or augmented random search of a linear one.
         settings: Settings to change; a wrong name lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
         seed: Random seed.
@@ -251,9 +261,9 @@ def expert(
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.runs.expert import search_expert
 
-    assignments = _assignments(settings, iterations)
+    assignments = _assignments(settings, None)
     with RunProgress(console) as progress:
-        policy = search_expert(env, seed, physics, assignments, output, watch=progress)
+        policy = search_expert(env, seed, physics, assignments, output, progress, algorithm)
     final = evaluate(policy, physics=physics)
     console.print(
         f"return {final.mean:.0f} ± {final.std:.0f} over 100 episodes, in {escape(str(output))}",

@@ -15,6 +15,8 @@ from rich.progress import (
 from rich.table import Table
 
 from ailsrs_jax.runs.benchmark import Row
+from ailsrs_jax.runs.evaluation import evaluate
+from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.tracking import IterationReport
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
@@ -48,14 +50,14 @@ class RunProgress:
         """Show one iteration."""
         done, total = report.iteration + 1, report.num_iterations
         text = describe(report)
-        if not self._begun:
+        if not self._begun and report.compile_seconds is not None:
             self._console.print(f"compiled in {report.compile_seconds:.1f} s", highlight=False)
-            self._begun = True
+        self._begun = True
         if self._live:
             if self._task is None:
                 self._task = self._progress.add_task(text, total=total, completed=report.iteration)
             self._progress.update(self._task, completed=done, description=text)
-        elif done == total or done % max(total // LINES_IN_A_LOG, 1) == 0:
+        elif report.is_last or done % max(total // LINES_IN_A_LOG, 1) == 0:
             self._console.print(f"{done}/{total}  {text}", soft_wrap=True, highlight=False)
 
 
@@ -68,26 +70,45 @@ def describe(report: IterationReport) -> str:
         reward = float(np.mean(metrics["imitation_reward"]))
         loss = float(np.mean(metrics["discriminator_loss"]))
         text += f" · reward {reward:.3f} · loss {loss:.3f}"
+    if "validation_loss" in metrics:
+        text += f" · validation loss {float(np.mean(metrics['validation_loss'])):.4f}"
     steps = float(np.mean(metrics["env_steps"])) / 1e6
     speed = report.env_steps_per_second / 1e3
     return f"{text} · {steps:.2f} M steps · {speed:.1f} k/s"
 
 
-def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, float]) -> None:
-    """The table of ``ailsrs benchmark``, and that of the ratios."""
-    columns = ("environment", "physics", "stage", "steps/s", "compiled in", "memory", "utilization")
-    table = Table(*columns, box=None)
-    for row in rows:
-        table.add_row(
-            row.env,
-            row.physics,
-            row.stage,
-            f"{row.env_steps_per_s:,.0f}",
-            "" if row.compile_s is None else f"{row.compile_s:.1f} s",
-            f"{row.peak_memory_mb:,.0f} MB",
-            "" if row.utilization is None else f"{row.utilization:.2f}",
-        )
+def print_results(console: Console, result: Result, physics: str) -> None:
+    """The table that ends a run: the return of the kept policies beside the expert's."""
+    table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
+    for seed, policy in result.policies.items():
+        final = evaluate(policy, physics=physics)
+        returns = f"{final.mean:.0f} ± {final.std:.0f}"
+        if policy.is_stochastic:
+            drawn = evaluate(policy, physics=physics, stochastic=True)
+            returns += f" (actions drawn: {drawn.mean:.0f} ± {drawn.std:.0f})"
+        table.add_row(str(seed), str(result.kept_iterations[seed]), returns)
+    expert = result.expert_returns
+    if expert is not None:
+        table.add_row("expert", "", f"{expert.mean():.0f} ± {expert.std():.0f}", style="dim")
     console.print(table)
+
+
+def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, float]) -> None:
+    """The tables of ``ailsrs benchmark``, one for each task, and that of the ratios."""
+    columns = ("physics", "stage", "steps/s", "compiled in", "memory", "utilization")
+    for env_id in dict.fromkeys(row.env for row in rows):
+        table = Table(*columns, box=None, title=env_id, title_justify="left")
+        for row in rows:
+            if row.env == env_id:
+                table.add_row(
+                    row.physics,
+                    row.stage,
+                    f"{row.env_steps_per_s:,.0f}",
+                    "" if row.compile_s is None else f"{row.compile_s:.1f} s",
+                    f"{row.peak_memory_mb:,.0f} MB",
+                    "" if row.utilization is None else f"{row.utilization:.2f}",
+                )
+        console.print(table)
     table = Table("ratio of speeds", "", box=None)
     for name, ratio in ratios.items():
         table.add_row(name, f"{ratio:.2f}")

@@ -9,7 +9,7 @@ import pytest
 
 from ailsrs_jax.cli import main
 from ailsrs_jax.data.demonstrations import load_demonstrations
-from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.policies import SavedLinearPolicy, expert_path, load_policy
 from ailsrs_jax.plotting import plot_training_curve
 from ailsrs_jax.runs.evaluation import evaluate
 
@@ -165,9 +165,9 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
 
 
 def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
-    settings = ["num_directions=2", "num_top_directions=1", "episode_length=10"]
-    arguments = ["--iterations", 2, "--set", *settings, "--output", "expert.npz"]
-    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments) == 0
+    settings = ["num_iterations=2", "num_directions=2", "num_top_directions=1"]
+    arguments = ["--algorithm", "ars", "--set", *settings, "episode_length=10"]
+    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments, "--output", "expert.npz") == 0
     assert load_policy("expert.npz").env_id == "Swimmer-v5"
     arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "own.npz"]
     assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
@@ -208,11 +208,19 @@ def test_fewer_demonstrations_are_the_first_of_more() -> None:
 @pytest.mark.parametrize("physics", ["mujoco", "gymnasium"])
 def test_a_policy_must_fit_where_it_is_evaluated(physics: str, monkeypatch, capsys) -> None:
     ones = np.ones(2)
-    SavedPolicy(np.ones((2, 5)), np.zeros(5), np.ones(5), -ones, ones, "Swimmer-v5").save(
-        Path("policy.npz")
-    )
+    SavedLinearPolicy(
+        weights=np.ones((2, 5)),
+        mean=np.zeros(5),
+        std=np.ones(5),
+        action_low=-ones,
+        action_high=ones,
+        env_id="Swimmer-v5",
+    ).save(Path("policy.npz"))
     assert ailsrs(monkeypatch, "evaluate", "policy.npz", "--physics", physics) == 2
-    assert "weights are (2, 5): the environment needs (2, 8)" in capsys.readouterr().err
+    assert (
+        "takes 5 observations and gives 2 actions: the environment has 8 and 2"
+        in capsys.readouterr().err
+    )
 
 
 def test_our_task_and_gymnasium_agree_on_an_expert() -> None:
@@ -248,6 +256,7 @@ def test_public_names_resolve() -> None:
 
 def test_a_curve_needs_metrics(tmp_path: Path) -> None:
     from ailsrs_jax.errors import UserError
+    from ailsrs_jax.runs.run import Result
 
     with pytest.raises(UserError, match="cannot read"):
-        plot_training_curve(tmp_path, "title", 1.0, {0: 0})
+        plot_training_curve(tmp_path, "title", Result(None, {}, {0: 0}, None))

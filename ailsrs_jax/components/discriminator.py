@@ -1,4 +1,4 @@
-"""The discriminator: its network, its least-squares loss and the reward read off it.
+"""The discriminator: its network, its losses and the rewards read off it.
 
 Convention, here and everywhere: the score D(s, a) = sigmoid(logit) is the judged probability that
 a step is the expert's. The expert's label is 1 (the paper's b) and the policy's is 0 (its a).
@@ -41,6 +41,16 @@ def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> ja
     return 0.5 * jnp.square(expert_error) + 0.5 * jnp.square(policy_error)
 
 
+def cross_entropy_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
+    """GAIL's (Ho and Ermon, 2016): the loss ``(batch)`` of pairs, −log D_e − log(1 − D_p)."""
+    return jax.nn.softplus(-expert_logits) + jax.nn.softplus(policy_logits)
+
+
+def entropy(logits: jax.Array) -> jax.Array:
+    """Entropy ``(...)`` in nats of the judgement, −D log D − (1 − D) log(1 − D)."""
+    return jax.nn.softplus(logits) - jax.nn.sigmoid(logits) * logits
+
+
 def gradient_penalty(
     logit_function: LogitFunction,
     policy_inputs: jax.Array,
@@ -58,6 +68,23 @@ def gradient_penalty(
     return jnp.sum(jnp.square(gradients), axis=-1)
 
 
-def imitation_reward(logits: jax.Array) -> jax.Array:
+def gail_reward(logits: jax.Array) -> jax.Array:
     """The paper's reward of a step, −log(1 − D) = softplus(logit) > 0; expert-like is high."""
     return jax.nn.softplus(logits)
+
+
+def airl_reward(logits: jax.Array) -> jax.Array:
+    """AIRL's (Fu et al., 2018) reward of a step, log D − log(1 − D) = logit, of either sign."""
+    return logits
+
+
+def amp_reward(logits: jax.Array) -> jax.Array:
+    """AMP's (Peng et al., 2021) reward of a step, 1 − (1 − D)² from 0 to 1.
+
+    There it is max(0, 1 − ¼ (d − 1)²) for labels −1 and 1, which d = 2 D − 1 turns into this.
+    """
+    return 1.0 - jnp.square(1.0 - jax.nn.sigmoid(logits))
+
+
+LOSSES = {"least_squares": least_squares_loss, "cross_entropy": cross_entropy_loss}
+REWARDS = {"gail": gail_reward, "airl": airl_reward, "amp": amp_reward}

@@ -1,12 +1,16 @@
-"""The linear policy, a = clip(M diag(Σ)^(−1/2) (s − μ)), and the choice of which one to keep."""
+"""Policies: the paper's linear one and multilayer perceptrons; and the choice of which to keep."""
+
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+ACTIVATIONS = {"tanh": jnp.tanh, "swish": jax.nn.swish}
+
 
 class LinearPolicy(struct.PyTreeNode):
-    """A deterministic linear policy of standardised observations.
+    """A linear policy of standardised observations, a = clip(M diag(Σ)^(−1/2) (s − μ)).
 
     With leading batch axes on its leaves it is a batch of policies, as ``jax.vmap`` makes them.
     """
@@ -17,34 +21,95 @@ class LinearPolicy(struct.PyTreeNode):
     action_low: jax.Array  # (p,)
     action_high: jax.Array  # (p,)
 
-    def __call__(self, observation: jax.Array) -> jax.Array:
-        """The action ``(p,)``, within the actuators' range, for one observation ``(n,)``."""
+    def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
+        """The action ``(p,)`` for one observation ``(n,)``, ``noise`` added, within its range."""
         # Not in TF32, so that the policy is the one that NumPy computes from the exported file.
         standardized = (observation - self.mean) / self.std
         action = jnp.matmul(self.weights, standardized, precision="highest")
-        return jnp.clip(action, self.action_low, self.action_high)
+        return jnp.clip(action + noise, self.action_low, self.action_high)
 
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":
         """The batch of policies with these ``weights (B, p, n)`` and this one's statistics."""
-        batch = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(weights), *x.shape)), self)
+        batch: LinearPolicy = repeated(self, len(weights))
         return batch.replace(weights=weights)
+
+
+class MlpPolicy(struct.PyTreeNode):
+    """A multilayer perceptron of standardised observations, the mean of a Gaussian policy.
+
+    Each layer but the last is ``h ← activation(W h + b)``. A squashed policy's output is
+    ``tanh(W h + b)``, stretched to the actions' range; any other's is ``W h + b``.
+    """
+
+    weights: tuple[jax.Array, ...]  # (out, in) of each layer
+    biases: tuple[jax.Array, ...]  # (out,)
+    mean: jax.Array  # (n,) of the observations
+    std: jax.Array  # (n,)
+    action_low: jax.Array  # (p,)
+    action_high: jax.Array  # (p,)
+    action_std: jax.Array  # (p,) of the Gaussian; zero of a policy that is only its mean
+    activation: Literal["tanh", "swish"] = struct.field(pytree_node=False)
+    squash: bool = struct.field(pytree_node=False)
+
+    def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
+        """The action ``(p,)`` for one observation ``(n,)``, ``noise`` added, within its range."""
+        return self.clip(self.unclipped(observation) + noise)
+
+    def unclipped(self, observation: jax.Array) -> jax.Array:
+        """The mean ``(p,)`` of the Gaussian for one observation ``(n,)``."""
+        standardized = (observation - self.mean) / self.std
+        action = perceptron(self.weights, self.biases, standardized, self.activation)
+        if not self.squash:
+            return action
+        fraction = (jnp.tanh(action) + 1.0) / 2.0
+        return self.action_low + fraction * (self.action_high - self.action_low)
+
+    def clip(self, action: jax.Array) -> jax.Array:
+        """The part of an action ``(..., p)`` that the actuators can do."""
+        return jnp.clip(action, self.action_low, self.action_high)
+
+
+Policy = LinearPolicy | MlpPolicy
+
+
+def perceptron(
+    weights: tuple[jax.Array, ...],
+    biases: tuple[jax.Array, ...],
+    inputs: jax.Array,
+    activation: Literal["tanh", "swish"] = "tanh",
+) -> jax.Array:
+    """Outputs ``(..., out)`` of a multilayer perceptron for ``inputs (..., in)``.
+
+    Each layer has ``weights (out, in)`` and ``biases (out,)``; all but the last end in
+    ``activation``.
+    """
+    hidden = inputs
+    for layer, (matrix, bias) in enumerate(zip(weights, biases, strict=True)):
+        hidden = ACTIVATIONS[activation](hidden) if layer else hidden
+        hidden = jnp.matmul(hidden, matrix.T, precision="highest") + bias
+    return hidden
+
+
+def repeated(policy: Any, num_policies: int) -> Any:
+    """The batch of ``num_policies`` times the same ``policy``."""
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (num_policies, *x.shape)), policy)
 
 
 class KeptPolicy(struct.PyTreeNode):
     """The best policy so far by some score."""
 
-    policy: LinearPolicy
+    policy: Policy
     score: jax.Array  # () higher is better; −∞ before the first candidate
     iteration: jax.Array  # () int32, when it was found
 
-    def offer(self, policy: LinearPolicy, score: jax.Array, iteration: jax.Array) -> "KeptPolicy":
+    def offer(self, policy: Policy, score: jax.Array, iteration: jax.Array) -> "KeptPolicy":
         """Keep ``policy`` instead if its score is higher; a score that is NaN never is."""
         candidate = KeptPolicy(policy, score, iteration)
         better = score > self.score
         return jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
 
 
-def keep(policy: LinearPolicy) -> KeptPolicy:
+def keep(policy: Policy) -> KeptPolicy:
     """Start with ``policy``, to be replaced by the first candidate that has a score."""
     return KeptPolicy(
         policy, score=jnp.full((), -jnp.inf, jnp.float32), iteration=jnp.zeros((), jnp.int32)

@@ -1,45 +1,134 @@
-"""Linear policies on disk, and as NumPy functions that drive any Gymnasium environment."""
+"""Policies on disk, and as NumPy functions that drive any Gymnasium environment."""
 
 import dataclasses
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ailsrs_jax.data.files import read_npz, write_atomically
 from ailsrs_jax.errors import UserError
 
-ARRAYS = ("weights", "mean", "std", "action_low", "action_high")
+ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "tanh": np.tanh,
+    "swish": lambda x: x / (1.0 + np.exp(-x)),
+}
+
+# The fields that any policy's file has, beside env_id; then those of a neural one.
+COMMON_ARRAYS = ("mean", "std", "action_low", "action_high")
+MAX_LAYERS = 16
+MLP_FIELDS = (
+    *(f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(MAX_LAYERS)),
+    *("action_std", "activation", "squash"),
+)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedPolicy:
-    """``policy.npz``: action = clip(weights @ ((observation − mean) / std), low, high)."""
+    """``policy.npz``: what linear and neural policies have in common."""
 
-    weights: np.ndarray  # (p, n)
     mean: np.ndarray  # (n,)
     std: np.ndarray  # (n,)
     action_low: np.ndarray  # (p,)
     action_high: np.ndarray  # (p,)
     env_id: str
 
-    def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action ``(p,)`` for one observation ``(n,)``."""
-        action = self.weights @ ((observation - self.mean) / self.std)
+    def __call__(
+        self, observation: np.ndarray, rng: np.random.Generator | None = None
+    ) -> np.ndarray:
+        """The action ``(p,)`` for one observation ``(n,)``; with ``rng``, drawn at random.
+
+        Raises:
+            UserError: the policy is deterministic, and an action is to be drawn.
+        """
+        action = self._unclipped((observation - self.mean) / self.std)
+        if rng is not None:
+            action = action + self.noise_std * rng.standard_normal(len(self.noise_std))
         return np.clip(action, self.action_low, self.action_high)
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether its actions can be drawn at random."""
+        return bool(self._action_std().any())
+
+    @property
+    def noise_std(self) -> np.ndarray:
+        """Standard deviation ``(p,)`` of the actions.
+
+        Raises:
+            UserError: the policy is deterministic.
+        """
+        if not self.is_stochastic:
+            raise UserError("the policy is deterministic: there are no actions to draw")
+        return self._action_std()
+
+    def _action_std(self) -> np.ndarray:
+        return np.zeros(len(self.action_low))
+
+    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
 
     def require_shape(self, action_size: int, observation_size: int) -> None:
         """Raise UserError unless this is a policy for so many actions and observations."""
-        if self.weights.shape != (action_size, observation_size):
+        sizes = len(self.action_low), len(self.mean)
+        if sizes != (action_size, observation_size):
             raise UserError(
-                f"the policy's weights are {self.weights.shape}: the environment needs "
-                f"{(action_size, observation_size)}"
+                f"the policy takes {sizes[1]} observations and gives {sizes[0]} actions: the "
+                f"environment has {observation_size} and {action_size}"
             )
 
     def save(self, path: str | Path) -> None:
         """Write a ``.npz`` file, whole or not at all."""
-        fields = dataclasses.asdict(self)
+        fields = self._fields()
         write_atomically(path, lambda file: np.savez(file, **fields))
+
+    def _fields(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SavedLinearPolicy(SavedPolicy):
+    """action = clip(weights @ ((observation − mean) / std), low, high)."""
+
+    weights: np.ndarray  # (p, n)
+
+    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
+        action: np.ndarray = self.weights @ standardized
+        return action
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SavedMlpPolicy(SavedPolicy):
+    """A multilayer perceptron of (observation − mean) / std, the mean of a Gaussian policy.
+
+    All layers but the last are ``h ← activation(W h + b)``. The output of the last is the action,
+    or, of a squashed policy, its hyperbolic tangent, stretched to the actions' range.
+    """
+
+    weights: tuple[np.ndarray, ...]  # (out, in) of each layer
+    biases: tuple[np.ndarray, ...]  # (out,)
+    action_std: np.ndarray  # (p,), zero where the policy is only its mean
+    activation: str
+    squash: bool
+
+    def _action_std(self) -> np.ndarray:
+        return self.action_std
+
+    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
+        hidden = standardized
+        for layer, (matrix, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = matrix @ (ACTIVATIONS[self.activation](hidden) if layer else hidden) + bias
+        if not self.squash:
+            return hidden
+        return self.action_low + (np.tanh(hidden) + 1) / 2 * (self.action_high - self.action_low)
+
+    def _fields(self) -> dict[str, Any]:
+        fields = super()._fields()
+        for name in ("weights", "biases"):
+            fields |= {f"{name}_{layer}": x for layer, x in enumerate(fields.pop(name))}
+        return fields
 
 
 def load_policy(path: str | Path) -> SavedPolicy:
@@ -49,28 +138,63 @@ def load_policy(path: str | Path) -> SavedPolicy:
         UserError: the file is missing, is not such a file, or its contents contradict one another.
     """
     path = Path(path)
-    fields = read_npz(path, (*ARRAYS, "env_id"), "a policy")
-    weights = fields["weights"]
-    if weights.ndim != 2:
-        raise UserError(f"{path}: weights are {weights.shape}, not (p, n)")
-    num_actions, num_observations = weights.shape
-    shapes = {
-        "mean": (num_observations,),
-        "std": (num_observations,),
-        "action_low": (num_actions,),
-        "action_high": (num_actions,),
-    }
-    for name, shape in shapes.items():
-        if fields[name].shape != shape:
-            raise UserError(f"{path}: {name} is {fields[name].shape}, not {shape}")
-    for name in ARRAYS:
-        if fields[name].dtype.kind != "f" or not np.isfinite(fields[name]).all():
-            raise UserError(f"{path}: {name} is not made of finite floating-point numbers")
-    if not (fields["std"] > 0).all():
-        raise UserError(f"{path}: std is not positive")
-    if fields["env_id"].ndim != 0 or fields["env_id"].dtype.kind != "U":
-        raise UserError(f"{path}: env_id is not a single string")
-    return SavedPolicy(**{name: fields[name] for name in ARRAYS}, env_id=str(fields["env_id"]))
+    fields = read_npz(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_FIELDS))
+    is_linear = "weights" in fields
+    num_layers = 1 if is_linear else sum(name.startswith("weights_") for name in fields)
+    needed = [f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(num_layers)]
+    needed = ["weights"] if is_linear else [*needed, "action_std", "activation", "squash"]
+    missing = [name for name in needed if name not in fields]
+    if missing or num_layers == 0:
+        raise UserError(f"{path} has no {', '.join(missing) or 'weights'}: not a file of a policy")
+    layers = [fields["weights" if is_linear else f"weights_{i}"] for i in range(num_layers)]
+
+    def require(condition: bool, problem: str) -> None:
+        if not condition:
+            raise UserError(f"{path}: {problem}")
+
+    shapes: dict[str, tuple[int, ...]] = {}
+    for layer, matrix in enumerate(layers):
+        require(matrix.ndim == 2, f"weights are {matrix.shape}, not (out, in)")
+        require(matrix.size > 0, f"weights are {matrix.shape}: there is nothing in them")
+        before = layers[layer - 1].shape if layer else ()
+        require(
+            layer == 0 or before[:1] == matrix.shape[1:],
+            f"layers {layer - 1} and {layer} are {before} and {matrix.shape}: they do not fit",
+        )
+        shapes[f"biases_{layer}"] = matrix.shape[:1]
+    shapes |= dict.fromkeys(("mean", "std"), layers[0].shape[1:])
+    shapes |= dict.fromkeys(("action_low", "action_high", "action_std"), layers[-1].shape[:1])
+    text = {"env_id", "activation"}
+    for name, array in fields.items():
+        if name in text:
+            require(array.ndim == 0 and array.dtype.kind == "U", f"{name} is not a single string")
+        elif name == "squash":
+            require(array.shape == () and array.dtype == bool, "squash is neither true nor false")
+        else:
+            shape = shapes.get(name, array.shape)
+            require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
+            require(
+                array.dtype.kind == "f" and bool(np.isfinite(array).all()),
+                f"{name} is not made of finite floating-point numbers",
+            )
+    require(bool((fields["std"] > 0).all()), "std is not positive")
+    env_id = str(fields["env_id"])
+    common = {name: fields[name] for name in COMMON_ARRAYS}
+    if is_linear:
+        return SavedLinearPolicy(**common, weights=fields["weights"], env_id=env_id)
+    activation = str(fields["activation"])
+    require(
+        activation in ACTIVATIONS, f"activation is '{activation}', not {' or '.join(ACTIVATIONS)}"
+    )
+    return SavedMlpPolicy(
+        **common,
+        weights=tuple(layers),
+        biases=tuple(fields[f"biases_{layer}"] for layer in range(num_layers)),
+        action_std=fields["action_std"],
+        activation=activation,
+        squash=bool(fields["squash"]),
+        env_id=env_id,
+    )
 
 
 def policy_files(path: Path) -> list[Path]:

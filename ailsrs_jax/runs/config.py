@@ -12,7 +12,6 @@ import numpy as np
 from ailsrs_jax.data.demonstrations import FIELDS, Demonstrations
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 
 VERSIONED_PACKAGES = ("ailsrs_jax", "jax", "mujoco", "gymnasium")
 
@@ -24,12 +23,13 @@ class RunConfig:
     env_id: str
     physics: str  # the engine, never "auto"
     seeds: tuple[int, ...]
-    num_trajectories: int
-    demonstrations: str  # a path, or which expert they are of
-    demonstrations_sha256: str
+    algorithm: str
     preset: str
-    settings: AilsrsSettings
-    algorithm: str = "ailsrs"
+    settings: Any  # the algorithm's dataclass
+    # Where there are none, the algorithm learns from the environment's reward.
+    num_trajectories: int | None
+    demonstrations: str | None  # a path, or which expert they are of
+    demonstrations_sha256: str | None
 
     def save(self, path: Path) -> None:
         """Write JSON, whole or not at all, with the versions of what computes the numbers."""

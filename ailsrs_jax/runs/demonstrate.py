@@ -4,6 +4,7 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs import Env
@@ -21,8 +22,10 @@ from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import VERSIONED_PACKAGES, require_seed
+from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.trainers.rollout import Rollout, rollout
 
+NOISE_STREAM = 1  # apart from the numbers that a reset draws
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 
@@ -32,8 +35,12 @@ def simulate(
     num_episodes: int,
     key: jax.Array,
     episode_length: int = EPISODE_LENGTH,
+    noise_std: np.ndarray | float | None = None,
 ) -> Rollout:
     """Roll out ``policy`` in ``env``; episode ``i`` does not depend on how many there are.
+
+    With ``noise_std``, a number or ``(p,)``, Gaussian noise is added to the actions before they are
+    clipped.
 
     Raises:
         UserError: the policy does not fit.
@@ -41,20 +48,22 @@ def simulate(
     n, p = env_sizes(env)
     policy.require_shape(p, n)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(num_episodes))
-    linear = LinearPolicy(
-        *map(jnp.float32, (policy.weights, policy.mean, policy.std)),
-        *map(jnp.float32, (policy.action_low, policy.action_high)),
-    )
-    policies = linear.with_weights(jnp.tile(linear.weights, (num_episodes, 1, 1)))
-    return _compiled_rollout(env, episode_length)(policies, keys)
+    policies = repeated(jax_policy(policy), num_episodes)
+    noise = None
+    if noise_std is not None:
+        # Of every episode its own, so that it does not depend either on how many there are.
+        noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE_STREAM)
+        draws = [jax.random.normal(noise_key, (episode_length, p)) for noise_key in noise_keys]
+        noise = noise_std * jnp.stack(draws)
+    return _compiled_rollout(env, episode_length)(policies, keys, noise)
 
 
 @functools.lru_cache(maxsize=4)
-def _compiled_rollout(
-    env: Env, episode_length: int
-) -> Callable[[LinearPolicy, jax.Array], Rollout]:
+def _compiled_rollout(env: Env, episode_length: int) -> Callable[..., Rollout]:
     """Compiled once for all the policies of a run."""
-    return jax.jit(lambda policies, keys: rollout(env, policies, keys, episode_length))
+    return jax.jit(
+        lambda policies, keys, noise: rollout(env, policies, keys, episode_length, noise=noise)
+    )
 
 
 def demonstrate(
@@ -65,6 +74,7 @@ def demonstrate(
     physics: str = "auto",
     seed: int = 0,
     episode_length: int = EPISODE_LENGTH,
+    action_noise: float = 0.0,
 ) -> Demonstrations:
     """Roll out ``num_trajectories`` episodes of ``policy``.
 
@@ -75,19 +85,24 @@ def demonstrate(
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
         seed: of the initial states.
         episode_length: the time limit in environment steps.
+        action_noise: standard deviation of Gaussian noise added to the actions, in their units;
+            the actions of the demonstrations are those with the noise, as applied.
 
     Raises:
-        UserError: no trajectories, an unknown task, physics that it does not have, a bad seed, or
-            a policy that does not fit.
+        UserError: no trajectories, negative noise, an unknown task, physics that it does not have,
+            a bad seed, or a policy that does not fit.
     """
     if min(num_trajectories, episode_length) < 1:
         raise UserError(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: at least one is "
             "needed"
         )
+    if not (math.isfinite(action_noise) and action_noise >= 0):
+        raise UserError(f"action_noise is {action_noise}: it must be a number from 0")
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
-    episodes = simulate(policy, task.env, num_trajectories, jax.random.key(seed), episode_length)
+    key, noise_std = jax.random.key(seed), action_noise or None
+    episodes = simulate(policy, task.env, num_trajectories, key, episode_length, noise_std)
     return Demonstrations(
         observations=np.asarray(episodes.observations),
         actions=np.asarray(episodes.actions),

@@ -43,20 +43,23 @@ def evaluate(
     *,
     env: Env | None = None,
     episode_length: int = EPISODE_LENGTH,
+    stochastic: bool = False,
 ) -> Evaluation:
     """Measure the return of ``policy``.
 
     Args:
-        policy: the policy; it is deterministic and is applied as it is.
+        policy: the policy.
         num_episodes: how many episodes.
         physics: ``gymnasium`` drives ``gymnasium.make(env_id)`` with the policy in NumPy; ``mjx``,
             ``mujoco`` and ``auto`` simulate our own task. Nothing to choose where ``env`` is given.
         seed: of the initial states.
         env: any Brax environment; without it, the task that the policy names.
         episode_length: the time limit in environment steps.
+        stochastic: draw the actions of a Gaussian policy, instead of taking their mean.
 
     Raises:
-        UserError: unknown environment or physics, no episodes, or a policy that does not fit.
+        UserError: unknown environment or physics, no episodes, a policy that does not fit, or one
+            that has nothing to draw.
     """
     if min(num_episodes, episode_length) < 1:
         raise UserError(
@@ -65,16 +68,17 @@ def evaluate(
     require_seed(seed)
     in_gymnasium = physics == "gymnasium"
     if in_gymnasium and env is None:
-        return _evaluate_in_gymnasium(policy, num_episodes, seed, episode_length)
+        return _evaluate_in_gymnasium(policy, num_episodes, seed, episode_length, stochastic)
     task = open_env(policy.env_id if env is None else env, "auto" if in_gymnasium else physics)
     # Not the initial states that demonstrations of the same seed begin with.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
-    episodes = simulate(policy, task.env, num_episodes, key, episode_length)
+    noise_std = policy.noise_std if stochastic else None
+    episodes = simulate(policy, task.env, num_episodes, key, episode_length, noise_std)
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 
 def _evaluate_in_gymnasium(
-    policy: SavedPolicy, num_episodes: int, seed: int, episode_length: int
+    policy: SavedPolicy, num_episodes: int, seed: int, episode_length: int, stochastic: bool
 ) -> Evaluation:
     env_id = resolve_env_id(policy.env_id)
     if env_id not in TASKS:
@@ -91,9 +95,10 @@ def _evaluate_in_gymnasium(
     returns, lengths = np.zeros(num_episodes), np.zeros(num_episodes, int)
     for episode in range(num_episodes):
         observation, _ = env.reset(seed=seed + episode)
+        rng = np.random.default_rng(seed + episode) if stochastic else None
         over = False
         while not over:
-            observation, reward, terminated, truncated, _ = env.step(policy(observation))
+            observation, reward, terminated, truncated, _ = env.step(policy(observation, rng))
             returns[episode] += float(reward)
             lengths[episode] += 1
             over = terminated or truncated

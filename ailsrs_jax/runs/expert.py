@@ -1,43 +1,55 @@
-"""Training an expert on the environment's reward."""
+"""Training an expert on the environment's reward: linear by random search, or neural by PPO."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.files import require_writable
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.runs.presets import expert_settings
-from ailsrs_jax.runs.run import Watch, saved_policy
-from ailsrs_jax.trainers.ars import Ars
+from ailsrs_jax.runs.policies import saved_policy
+from ailsrs_jax.runs.ppo import PPO_PRESETS, PpoSettings, train_ppo
+from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.settings import override
+
+ALGORITHMS = ("ppo", "ars")
 
 
 def train_expert(
     env: Env | str,
     *,
+    algorithm: str = "ppo",
     seed: int = 0,
     physics: str = "auto",
     output: str | Path | None = None,
-    watch: Watch | None = None,
+    watch: Callable[[IterationReport], None] | None = None,
     **settings: Any,
 ) -> SavedPolicy:
-    """Train a linear policy on the environment's reward, by augmented random search.
+    """Train a policy on the environment's reward.
 
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.
+        algorithm: ``ppo``, Brax's proximal policy optimization of a multilayer perceptron; or
+            ``ars``, augmented random search of a linear policy.
         seed: random seed.
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
-        output: the policy file to write; without it nothing is written.
+        output: the policy file to write, whenever a better policy is found; without it nothing is
+            written.
         watch: called after every iteration.
-        settings: fields of :class:`~ailsrs_jax.trainers.ars.ArsSettings` to change.
+        settings: fields of :class:`~ailsrs_jax.runs.ppo.PpoSettings` or
+            :class:`~ailsrs_jax.trainers.ars.ArsSettings` to change.
 
     Returns:
         The best policy met.
@@ -46,7 +58,8 @@ def train_expert(
         UserError: something handed in is wrong.
     """
     assignments = {name: str(value) for name, value in settings.items()}
-    return search_expert(env, seed, physics, assignments, Path(output) if output else None, watch)
+    path = Path(output) if output else None
+    return search_expert(env, seed, physics, assignments, path, watch, algorithm)
 
 
 def search_expert(
@@ -55,35 +68,49 @@ def search_expert(
     physics: str,
     assignments: dict[str, str],
     output: Path | None,
-    watch: Watch | None,
+    watch: Callable[[IterationReport], None] | None,
+    algorithm: str = "ppo",
 ) -> SavedPolicy:
     """What :func:`train_expert` does, with settings as text.
 
     Raises:
-        UserError: something handed in is wrong.
+        UserError: something handed in is wrong, or no policy was good enough to have a return.
     """
     set_up_jax()
+    if algorithm not in ALGORITHMS:
+        raise UserError(f"unknown algorithm '{algorithm}': use {' or '.join(ALGORITHMS)}")
     task = open_env(env, physics)
     require_seed(seed)
-    settings = override(expert_settings(task.env_id), assignments)
-    trainer = Ars(
-        task.env,
-        settings,
-        choose_devices(task.env, settings.num_directions),
-        choose_batch_size(task.env),
-    )
     if output is not None:
         require_writable(output)
+    best: SavedPolicy | None = None
+    best_score = -np.inf
+
+    def consider(report: IterationReport, policy: Policy, score: float) -> None:
+        nonlocal best, best_score
+        if score > best_score:  # never, if it is NaN
+            best, best_score = saved_policy(policy, task.env_id), score
+            if output is not None:  # at once: what was found is not lost if this is interrupted
+                best.save(output)
+        if watch is not None:
+            watch(report)
+
+    if algorithm == "ppo":
+        ppo_settings = override(PPO_PRESETS.get(task.env_id, PpoSettings()), assignments)
+        train_ppo(task.env, ppo_settings, seed, consider)
+    else:
+        ars_settings = override(preset_settings(task.env_id, "tuned", "ars"), assignments)
+        _search(task.env, ars_settings, seed, consider)
+    if best is None:
+        raise UserError("no policy was found: the return was never a finite number")
+    return best
+
+
+def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., None]) -> None:
+    devices = choose_devices(env, settings.num_directions)
+    trainer = make_ars(env, settings, devices, choose_batch_size(env))
     seeds, env_steps = np.array([seed], np.int32), np.zeros(1, np.int64)
     start = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))(seeds)
-    kept = start.kept
-    try:
-        for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):
-            kept = state.kept
-            if watch is not None:
-                watch(report)
-    finally:  # also when interrupted: what was found is not lost, and nothing replaced by nothing
-        policy = saved_policy(jax.tree.map(lambda x: x[0], kept.policy), task.env_id)
-        if output is not None and np.isfinite(kept.score[0]):
-            policy.save(output)
-    return policy
+    for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):
+        kept = jax.tree.map(lambda x: x[0], state.kept)
+        consider(report, kept.policy, float(kept.score))

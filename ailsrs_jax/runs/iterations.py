@@ -19,6 +19,8 @@ def iterate(
 ) -> Iterator[tuple[Any, IterationReport]]:
     """Apply ``update`` until ``num_iterations`` are done, and give state and report after each.
 
+    Or until the state says of all seeds that they are ``finished``, where a trainer can tell.
+
     Args:
         update: of one seed; it is applied to all of them together.
         state: of all seeds, after ``start`` iterations.
@@ -26,7 +28,7 @@ def iterate(
         start: iterations already done.
         num_iterations: when to stop.
     """
-    if start == num_iterations:
+    if start == num_iterations or _finished(state):
         return
     started = time.perf_counter()
     # Compiled ahead, so that it is timed apart, and so that it cannot be compiled again unseen.
@@ -36,6 +38,7 @@ def iterate(
         started = time.perf_counter()
         state, device_metrics = compiled(state)
         metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
+        finished = _finished(state)
         live_steps = metrics["env_steps"].astype(np.int64)  # exact beyond what int32 can count
         env_steps = env_steps + live_steps
         yield (
@@ -46,5 +49,12 @@ def iterate(
                 metrics=metrics | {"env_steps": env_steps},
                 env_steps_per_second=live_steps.sum() / (time.perf_counter() - started),
                 compile_seconds=compile_seconds,
+                finished=finished,
             ),
         )
+        if finished:
+            return
+
+
+def _finished(state: Any) -> bool:
+    return bool(np.all(getattr(state, "finished", False)))

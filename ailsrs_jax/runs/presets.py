@@ -1,23 +1,34 @@
-"""Settings that are known to work, by task."""
+"""Settings that are known to work, or that somebody published, by algorithm and task."""
 
 import dataclasses
+from typing import Any
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 from ailsrs_jax.trainers.ars import ArsSettings
+from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings
+from ailsrs_jax.trainers.gail import GailSettings
+from ailsrs_jax.trainers.trpo import TrpoSettings
 
 PRESETS = ("tuned", "paper")
 
+# Settings of a task, or of any other under ELSEWHERE.
+Presets = dict[str, Any]
+ELSEWHERE = ""
+
 # Table I of the paper is the defaults, all directions; only HalfCheetah starts from behaviour
 # cloning there.
-_PAPER = {"HalfCheetah-v5": AilsrsSettings(behavior_cloning_start=True)}
+_AILSRS_PAPER: Presets = {
+    ELSEWHERE: AilsrsSettings(),
+    "HalfCheetah-v5": AilsrsSettings(behavior_cloning_start=True),
+}
 
 # Tuned by hand as a whole, not one setting at a time. What each is meant for: the gradient penalty
 # and the memory of past policies keep the discriminator from winning outright; more of its steps
 # let it follow the policy; the expert's fixed statistics keep a cloned policy what it was, where
 # running ones change what its weights mean with every state met; a falling step size damps the
 # game.
-_TUNED_ELSEWHERE = AilsrsSettings(
+_TUNED = AilsrsSettings(
     num_iterations=100,
     num_directions=16,
     num_top_directions=8,
@@ -31,47 +42,58 @@ _TUNED_ELSEWHERE = AilsrsSettings(
     behavior_cloning_start=True,
     standardize_with="expert",
 )
-_TUNED = {
-    "HalfCheetah-v5": dataclasses.replace(_TUNED_ELSEWHERE, num_iterations=60),
-    "Hopper-v5": dataclasses.replace(_TUNED_ELSEWHERE, num_iterations=30),
-    "Swimmer-v5": dataclasses.replace(_TUNED_ELSEWHERE, num_iterations=40),
-    "Walker2d-v5": dataclasses.replace(_TUNED_ELSEWHERE, num_iterations=120),
+_AILSRS_TUNED: Presets = {
+    ELSEWHERE: _TUNED,
+    "HalfCheetah-v5": dataclasses.replace(_TUNED, num_iterations=60),
+    "Hopper-v5": dataclasses.replace(_TUNED, num_iterations=30),
+    "Swimmer-v5": dataclasses.replace(_TUNED, num_iterations=40),
+    "Walker2d-v5": dataclasses.replace(_TUNED, num_iterations=120),
 }
 
-# Augmented random search on the environment's reward, after the settings of its paper. These made
-# the experts that ship with the package (ailsrs_jax/data/experts/README.md); none ships yet for Ant
-# and Humanoid, whose settings are the paper's V2-t.
-EXPERTS = {
+# OpenAI Baselines' settings are the defaults. AILSRS's paper starts HalfCheetah from behaviour
+# cloning.
+_GAIL: Presets = {
+    ELSEWHERE: GailSettings(),
+    "HalfCheetah-v5": GailSettings(behavior_cloning_start=True, standardize_with="expert"),
+}
+
+# Table 9 of Mania, Guy and Recht (2018), V2-t, with the survival bonus that their Section 4.1
+# subtracts; the iterations are about twice what their Table 1 needs on average.
+_ARS_PAPER: Presets = {
+    ELSEWHERE: ArsSettings(),
     "Ant-v5": ArsSettings(
-        num_iterations=200,
+        num_iterations=350,
         num_directions=60,
         num_top_directions=20,
         step_size=0.015,
         noise_std=0.025,
         survival_bonus=1.0,
     ),
-    "HalfCheetah-v5": ArsSettings(
-        num_iterations=230, num_top_directions=8, num_evaluation_episodes=16
-    ),
+    "HalfCheetah-v5": ArsSettings(num_iterations=150),
     "Hopper-v5": ArsSettings(
-        num_iterations=81,
-        num_directions=16,
-        num_top_directions=8,
+        num_iterations=400,
+        num_directions=8,
+        num_top_directions=4,
+        step_size=0.01,
         noise_std=0.025,
         survival_bonus=1.0,
     ),
     "Humanoid-v5": ArsSettings(
-        num_iterations=200,
+        num_iterations=600,
         num_directions=230,
         num_top_directions=230,
         noise_std=0.0075,
         survival_bonus=5.0,
     ),
     "Swimmer-v5": ArsSettings(
-        num_iterations=150, num_directions=8, noise_std=0.02, num_evaluation_episodes=4
+        num_iterations=500,
+        num_directions=1,
+        num_top_directions=1,
+        noise_std=0.01,
+        num_evaluation_episodes=2,
     ),
     "Walker2d-v5": ArsSettings(
-        num_iterations=80,
+        num_iterations=600,
         num_directions=40,
         num_top_directions=30,
         step_size=0.03,
@@ -80,8 +102,51 @@ EXPERTS = {
     ),
 }
 
+# After the same, for fewer iterations of more directions. These made the linear experts
+# (ailsrs_jax/data/experts/README.md).
+_ARS_TUNED: Presets = {
+    **_ARS_PAPER,
+    "HalfCheetah-v5": ArsSettings(
+        num_iterations=230, num_top_directions=8, num_evaluation_episodes=16
+    ),
+    "Hopper-v5": dataclasses.replace(
+        _ARS_PAPER["Hopper-v5"],
+        num_iterations=81,
+        num_directions=16,
+        num_top_directions=8,
+        step_size=0.02,
+    ),
+    "Swimmer-v5": ArsSettings(
+        num_iterations=150, num_directions=8, noise_std=0.02, num_evaluation_episodes=4
+    ),
+    "Walker2d-v5": dataclasses.replace(_ARS_PAPER["Walker2d-v5"], num_iterations=80),
+}
 
-def preset_settings(env_id: str, preset: str) -> AilsrsSettings:
+
+def _basic(presets: Presets) -> Presets:
+    """Basic random search: all directions, no scaling, no statistics."""
+    return {
+        env_id: dataclasses.replace(
+            settings,
+            num_top_directions=settings.num_directions,
+            scale_by_std=False,
+            normalize_observations=False,
+        )
+        for env_id, settings in presets.items()
+    }
+
+
+_BY_ALGORITHM: dict[str, dict[str, Presets]] = {
+    "ailsrs": {"tuned": _AILSRS_TUNED, "paper": _AILSRS_PAPER},
+    "bc": {preset: {ELSEWHERE: BehaviorCloningSettings()} for preset in PRESETS},
+    "gail": dict.fromkeys(PRESETS, _GAIL),
+    "ars": {"tuned": _ARS_TUNED, "paper": _ARS_PAPER},
+    "brs": {"tuned": _basic(_ARS_TUNED), "paper": _basic(_ARS_PAPER)},
+    "trpo": {preset: {ELSEWHERE: TrpoSettings()} for preset in PRESETS},
+}
+
+
+def preset_settings(env_id: str, preset: str, algorithm: str = "ailsrs") -> Any:
     """The settings of ``preset`` for the task; those of a task of one's own are not tuned to it.
 
     Raises:
@@ -89,11 +154,5 @@ def preset_settings(env_id: str, preset: str) -> AilsrsSettings:
     """
     if preset not in PRESETS:
         raise UserError(f"unknown preset '{preset}': use {' or '.join(PRESETS)}")
-    if preset == "tuned":
-        return _TUNED.get(env_id, _TUNED_ELSEWHERE)
-    return _PAPER.get(env_id, AilsrsSettings())
-
-
-def expert_settings(env_id: str) -> ArsSettings:
-    """The settings that an expert of the task is trained with."""
-    return EXPERTS.get(env_id, ArsSettings())
+    presets = _BY_ALGORITHM[algorithm][preset]
+    return presets.get(env_id, presets[ELSEWHERE])

@@ -1,4 +1,4 @@
-"""One run: several seeds of AILSRS on one task, from demonstrations to saved policies."""
+"""One run: several seeds of an algorithm on one task, from demonstrations to saved policies."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -9,7 +9,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import (
     Demonstrations,
     load_demonstrations,
@@ -20,6 +19,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.algorithms import Algorithm, Trainer, find_algorithm, make_trainer
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
@@ -31,10 +31,10 @@ from ailsrs_jax.runs.devices import (
     together,
 )
 from ailsrs_jax.runs.iterations import iterate
+from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
-from ailsrs_jax.trainers.ailsrs import make_ailsrs
-from ailsrs_jax.trainers.devices import Devices
+from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.settings import override
 
 CHECKPOINT_EVERY = 10  # iterations
@@ -49,10 +49,26 @@ class Plan:
 
     config: RunConfig
     env: Env
-    demonstrations: Demonstrations
+    demonstrations: Demonstrations | None
     physics_reason: str
     devices: Devices
     rollout_batch_size: int | None  # simulations of a device at a time; None for all
+
+    @property
+    def algorithm(self) -> Algorithm:
+        """What trains."""
+        return find_algorithm(self.config.algorithm)
+
+    def make_trainer(self) -> Trainer:
+        """The trainer; see :func:`~ailsrs_jax.runs.algorithms.make_trainer`."""
+        return make_trainer(
+            self.algorithm,
+            self.env,
+            self.demonstrations,
+            self.config.settings,
+            self.devices,
+            self.rollout_batch_size,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,13 +78,14 @@ class Result:
     config: RunConfig
     policies: dict[int, SavedPolicy]  # the kept policy of each seed
     kept_iterations: dict[int, int]  # when each was found
-    expert_returns: np.ndarray  # of the demonstrations
+    expert_returns: np.ndarray | None  # of the demonstrations, where there are any
 
 
 def train(
     env: Env | str,
     demonstrations: str | Path | Demonstrations | None = None,
     *,
+    algorithm: str = "ailsrs",
     num_trajectories: int | None = None,
     seeds: Sequence[int] = (0,),
     preset: str = "tuned",
@@ -79,13 +96,15 @@ def train(
     watch: Watch | None = None,
     **settings: Any,
 ) -> Result:
-    """Train a linear policy to imitate demonstrations.
+    """Train a policy to imitate demonstrations, or on the environment's reward.
 
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.
         demonstrations: a file or demonstrations in memory; without any, those of the expert that
             ships with the package.
+        algorithm: ``ailsrs``, ``bc`` or ``gail``, which imitate; or ``ars``, ``brs`` or ``trpo``,
+            which learn from the environment's reward.
         num_trajectories: use the first so many; by default 10 of the shipped expert, else all.
         seeds: all are trained together, as one batched program.
         preset: ``tuned`` or ``paper``.
@@ -95,7 +114,8 @@ def train(
         rollout_batch_size: simulations of a device at a time, for less memory; the results are
             the same but for rounding. By default all, or what is fastest.
         watch: called after every iteration.
-        settings: fields of :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings` to change.
+        settings: fields of the algorithm's settings to change, for example of
+            :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
 
     Raises:
         UserError: something handed in is wrong.
@@ -110,6 +130,7 @@ def train(
         physics,
         assignments,
         rollout_batch_size,
+        algorithm,
     )
     return execute(plan, Path(output) if output else None, resume=resume, watch=watch)
 
@@ -123,6 +144,7 @@ def make_plan(
     physics: str,
     assignments: dict[str, str],
     rollout_batch_size: int | None = None,
+    algorithm: str = "ailsrs",
 ) -> Plan:
     """Check everything that a run is given, before anything is written or computed.
 
@@ -138,7 +160,43 @@ def make_plan(
         raise UserError(f"seeds are {seeds}: give one or more different ones")
     for seed in seeds:
         require_seed(seed)
-    settings = override(preset_settings(env_id, preset), assignments)
+    chosen = find_algorithm(algorithm)
+    settings = override(preset_settings(env_id, preset, algorithm), assignments)
+    source = sha256 = None
+    if chosen.imitates:
+        demonstrations, source = _find_demonstrations(
+            demonstrations, num_trajectories, env_id, engine
+        )
+        _require_fit(demonstrations, env_id, task)
+        sha256 = content_hash(demonstrations)
+    elif demonstrations is not None or num_trajectories is not None:
+        raise UserError(f"{algorithm} learns from the environment's reward, not demonstrations")
+    else:
+        demonstrations = None
+    config = RunConfig(
+        env_id=env_id,
+        physics=engine,
+        seeds=tuple(seeds),
+        algorithm=algorithm,
+        preset=preset,
+        settings=settings,
+        num_trajectories=demonstrations.num_trajectories if demonstrations else None,
+        demonstrations=source,
+        demonstrations_sha256=sha256,
+    )
+    devices = choose_devices(task, settings.num_directions) if chosen.searches else ONE_DEVICE
+    if rollout_batch_size is None:
+        rollout_batch_size = choose_batch_size(task)
+    return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
+
+
+def _find_demonstrations(
+    demonstrations: str | Path | Demonstrations | None,
+    num_trajectories: int | None,
+    env_id: str,
+    engine: str,
+) -> tuple[Demonstrations, str]:
+    """The first ``num_trajectories`` of what is asked for, and what to call it."""
     source = "of the expert that ships with the package"
     if demonstrations is None:
         num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
@@ -150,21 +208,7 @@ def make_plan(
         source, demonstrations = str(demonstrations), load_demonstrations(demonstrations)
     if num_trajectories is not None:
         demonstrations = demonstrations.first(num_trajectories)
-    _require_fit(demonstrations, env_id, task)
-    config = RunConfig(
-        env_id=env_id,
-        physics=engine,
-        seeds=tuple(seeds),
-        num_trajectories=demonstrations.num_trajectories,
-        demonstrations=source,
-        demonstrations_sha256=content_hash(demonstrations),
-        preset=preset,
-        settings=settings,
-    )
-    devices = choose_devices(task, settings.num_directions)
-    if rollout_batch_size is None:
-        rollout_batch_size = choose_batch_size(task)
-    return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
+    return demonstrations, source
 
 
 def execute(
@@ -177,9 +221,7 @@ def execute(
     """
     config, settings = plan.config, plan.config.settings
     # First of all, because it refuses what it cannot train, and then nothing is to be written.
-    trainer = make_ailsrs(
-        plan.env, plan.demonstrations, settings, plan.devices, plan.rollout_batch_size
-    )
+    trainer = plan.make_trainer()
     if output is not None:
         with together(config.fingerprint()):
             _prepare_directory(output, config, resume)
@@ -213,7 +255,7 @@ def execute(
                 checkpoints.save(
                     report.iteration + 1,
                     {"state": state, "steps": steps},
-                    force=report.iteration + 1 == settings.num_iterations,
+                    force=report.is_last,
                 )
             if watch is not None:
                 watch(report)
@@ -230,13 +272,8 @@ def execute(
         config=config,
         policies=policies,
         kept_iterations=dict(zip(config.seeds, kept.iteration.tolist(), strict=True)),
-        expert_returns=np.asarray(plan.demonstrations.returns),
+        expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
     )
-
-
-def saved_policy(policy: LinearPolicy, env_id: str) -> SavedPolicy:
-    """The policy as it goes to disk."""
-    return SavedPolicy(**{name: np.asarray(x) for name, x in vars(policy).items()}, env_id=env_id)
 
 
 def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:

@@ -20,7 +20,13 @@ class IterationReport:
     num_iterations: int
     metrics: Mapping[str, np.ndarray]  # (seeds,) each; env_steps since the start of the run
     env_steps_per_second: float  # of all seeds together, in this iteration
-    compile_seconds: float  # spent before the first iteration
+    compile_seconds: float | None  # spent before the first iteration, if it is known
+    finished: bool = False  # nothing is left to do, whatever the number of iterations
+
+    @property
+    def is_last(self) -> bool:
+        """Whether no other follows."""
+        return self.finished or self.iteration + 1 == self.num_iterations
 
 
 class MetricsFile:

@@ -1,23 +1,21 @@
 """Adversarial imitation learning via random search (Shin and Kim, IJCNN 2019)."""
 
 import dataclasses
-import functools
-from typing import Any, Literal, cast
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import struct
 
-from ailsrs_jax.components import discriminator as adversary
 from ailsrs_jax.components import normalizer, random_search
 from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
-from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_steps
+from ailsrs_jax.components.sampling import StepMemory, empty_memory
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import explore
@@ -27,7 +25,7 @@ Metrics = dict[str, jax.Array]
 
 
 @dataclasses.dataclass(frozen=True)
-class AilsrsSettings:
+class AilsrsSettings(AdversarySettings):
     """Settings of :class:`Ailsrs`; the defaults are the paper's (Table I)."""
 
     num_iterations: int = 100_000
@@ -37,10 +35,6 @@ class AilsrsSettings:
     final_step_size: float = 0.02  # reached linearly at the last iteration
     noise_std: float = 0.03
     episode_length: int = 1000
-    discriminator_learning_rate: float = 2.5e-4
-    discriminator_steps: int = 3
-    discriminator_batch_size: int = 1000  # from each side
-    gradient_penalty: float = 0.0  # weight of the penalty in the discriminator's loss
     memory_iterations: int = 1  # the discriminator sees the policies of so many iterations
     memory_samples: int = 4000  # at least so many are remembered of each iteration
     reward_reduction: Literal["mean", "sum"] = "mean"  # over the live steps of a rollout
@@ -55,8 +49,7 @@ class TrainState(struct.PyTreeNode):
 
     weights: jax.Array  # (p, n)
     statistics: RunningStatistics  # what observations are standardised with
-    discriminator: Any  # Flax parameters
-    optimizer: optax.OptState
+    adversary: AdversaryState
     memory: StepMemory  # discriminator inputs of recent policies
     kept: KeptPolicy  # closest to the expert so far, by energy distance
     key: jax.Array
@@ -67,8 +60,7 @@ class TrainState(struct.PyTreeNode):
 STATE_SPECS = TrainState(
     weights=EVERYWHERE,
     statistics=EVERYWHERE,
-    discriminator=EVERYWHERE,
-    optimizer=EVERYWHERE,
+    adversary=EVERYWHERE,
     memory=StepMemory(steps=shared(axis=2), lengths=EVERYWHERE, num_inserted=EVERYWHERE),
     kept=EVERYWHERE,
     key=EVERYWHERE,
@@ -89,7 +81,6 @@ class Ailsrs:
     expert: Expert
     devices: Devices = ONE_DEVICE
     rollout_batch_size: int | None = None
-    network: adversary.Discriminator = dataclasses.field(default_factory=adversary.Discriminator)
 
     def init(self, key: jax.Array) -> TrainState:
         """The paper's start, all weights zero and no statistics; or behaviour cloning's."""
@@ -119,27 +110,23 @@ class Ailsrs:
     def _init(self, key: jax.Array) -> TrainState:
         settings = self.settings
         key, network_key = jax.random.split(key)
-        input_size = self.expert.inputs.shape[-1]
-        parameters = self.network.init(network_key, jnp.zeros(input_size))
         statistics = normalizer.init(self.env.observation_size)
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
             statistics = self.expert.statistics
         if settings.behavior_cloning_start:
-            states, actions = jnp.split(self.expert.inputs, [self.env.observation_size], axis=-1)
-            alive = jnp.arange(states.shape[1]) < self.expert.lengths[:, None]
-            weights = ridge_regression(states, actions, alive)
+            expert = self.expert
+            weights = ridge_regression(expert.observations, expert.actions, expert.alive)
         return TrainState(
             weights=weights,
             statistics=statistics,
-            discriminator=parameters,
-            optimizer=self._adam.init(parameters),
+            adversary=self._adversary.init(network_key),
             memory=empty_memory(
                 slots=settings.memory_iterations,
                 num_pairs=settings.num_directions,
                 num_here=settings.num_directions // self.devices.count,
                 steps_each=self._steps_each,
-                width=input_size,
+                width=self._adversary.input_size,
             ),
             kept=keep(self.policy(weights, statistics)),
             key=key,
@@ -172,13 +159,17 @@ class Ailsrs:
 
         # 2. Train the discriminator to tell their steps from the expert's.
         lengths = devices.gather(batch.lengths[num_evaluations:].reshape(2, -1), axis=1)
-        memory = state.memory.insert(self._sample_inputs(memory_key, batch), lengths)
-        parameters, optimizer, discriminator_metrics = self._train_discriminator(
-            state, memory, discriminator_key
+        memory = state.memory.insert(
+            self._sample_inputs(memory_key, batch), self._adversary.num_seen(lengths)
+        )
+        adversary, adversary_metrics = self._adversary.train(
+            state.adversary,
+            discriminator_key,
+            lambda key, size: memory.sample(key, size, devices.first(memory.lengths, axis=2)),
         )
 
         # 3. Let it judge every rollout, and 4. step along the directions it liked.
-        returns = self._imitation_returns(parameters, batch)[num_evaluations:]
+        returns = self._imitation_returns(adversary, batch)[num_evaluations:]
         returns_plus, returns_minus = devices.gather(returns.reshape(2, -1), axis=1)
         weights = random_search.step(
             state.weights,
@@ -197,28 +188,30 @@ class Ailsrs:
             )
 
         evaluation = batch.episodes(0, num_evaluations)
-        inputs = self.expert.discriminator_inputs(evaluation.observations, evaluation.actions)
         # Beside other episodes on each device, which can change the last bits.
         evaluated = devices.agree(
             {
                 "evaluation_return": evaluation.env_returns.mean(),
                 "evaluation_length": evaluation.lengths.mean(),
                 "expert_distance": self.expert.distance(
-                    distance_key, inputs, evaluation.lengths, settings.episode_length
+                    distance_key,
+                    evaluation.observations,
+                    evaluation.actions,
+                    evaluation.lengths,
+                    settings.episode_length,
                 ),
             }
         )
         metrics = {
             **evaluated,
             "imitation_reward": jnp.mean(jnp.stack([returns_plus, returns_minus])),
-            **discriminator_metrics,
+            **adversary_metrics,
             "env_steps": lengths.sum() + devices.agree(evaluation.env_steps),
         }
         state = TrainState(
             weights=weights,
             statistics=statistics,
-            discriminator=parameters,
-            optimizer=optimizer,
+            adversary=adversary,
             memory=memory,
             kept=state.kept.offer(policy, -evaluated["expert_distance"], state.iteration),
             key=key,
@@ -227,16 +220,13 @@ class Ailsrs:
         return state, metrics
 
     @property
-    def _adam(self) -> optax.GradientTransformation:
-        return optax.adam(self.settings.discriminator_learning_rate)
+    def _adversary(self) -> Adversary:
+        return Adversary(self.settings, self.expert, self.devices)
 
     @property
     def _steps_each(self) -> int:
         """Steps remembered of each episode."""
         return -(-self.settings.memory_samples // (2 * self.settings.num_directions))
-
-    def _logits(self, parameters: Any, inputs: jax.Array) -> jax.Array:
-        return cast("jax.Array", self.network.apply(parameters, inputs))
 
     def _step_size(self, iteration: jax.Array) -> jax.Array:
         settings = self.settings
@@ -244,69 +234,29 @@ class Ailsrs:
         return settings.step_size + done * (settings.final_step_size - settings.step_size)
 
     def _sample_inputs(self, key: jax.Array, batch: Rollout) -> jax.Array:
-        """``(2, N', k, n + p)`` discriminator inputs of k live steps of each perturbed policy."""
+        """``(2, N', k, d)`` discriminator inputs of k live steps of each perturbed policy."""
         shape = (2, self.settings.num_directions, self._steps_each)
         fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
         fractions = fractions.reshape(-1, self._steps_each)
-        # A fraction just below 1 can round up.
         first = self.settings.num_evaluation_episodes
-        lengths = batch.lengths[first:, None]
-        time = jnp.minimum((fractions * lengths).astype(jnp.int32), lengths - 1)
+        num_seen = self._adversary.num_seen(batch.lengths[first:, None])
+        # A fraction just below 1 can round up.
+        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), num_seen - 1)
         episode = first + jnp.arange(len(time))[:, None]
-        steps = batch.observations[episode, time], batch.actions[episode, time]
-        inputs = self.expert.discriminator_inputs(*steps)
+        following = batch.observations.at[episode, time + 1].get(mode="fill", fill_value=0.0)
+        inputs = self._adversary.inputs(
+            batch.observations[episode, time], batch.actions[episode, time], following
+        )
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
-    def _train_discriminator(
-        self, state: TrainState, memory: StepMemory, key: jax.Array
-    ) -> tuple[Any, optax.OptState, Metrics]:
-        settings, expert, devices = self.settings, self.expert, self.devices
-
-        def loss(parameters: Any, key: jax.Array) -> tuple[jax.Array, Metrics]:
-            """This device's part of the mean over pairs: those whose policy step it remembers."""
-            policy_key, expert_key, penalty_key = jax.random.split(key, 3)
-            batch_size = settings.discriminator_batch_size
-            policy_inputs, here = memory.sample(
-                policy_key, batch_size, devices.first(memory.lengths, axis=2)
-            )
-            episode, time = sample_steps(expert_key, expert.lengths, batch_size)
-            expert_inputs = expert.inputs[episode, time]
-
-            def mean(values: jax.Array) -> jax.Array:
-                return jnp.sum(values, where=here) / batch_size
-
-            logits = functools.partial(self._logits, parameters)
-            policy_logits, expert_logits = logits(policy_inputs), logits(expert_inputs)
-            value = mean(adversary.least_squares_loss(policy_logits, expert_logits))
-            penalty = adversary.gradient_penalty(logits, policy_inputs, expert_inputs, penalty_key)
-            return value + settings.gradient_penalty * mean(penalty), {
-                "discriminator_loss": value,
-                "policy_score": mean(jax.nn.sigmoid(policy_logits)),
-                "expert_score": mean(jax.nn.sigmoid(expert_logits)),
-            }
-
-        def adam_step(carry: Any, key: jax.Array) -> tuple[Any, Metrics]:
-            parameters, optimizer = carry
-            gradients, metrics = devices.sum(jax.grad(loss, has_aux=True)(parameters, key))
-            updates, optimizer = self._adam.update(gradients, optimizer, parameters)
-            return (optax.apply_updates(parameters, updates), optimizer), metrics
-
-        (parameters, optimizer), metrics = jax.lax.scan(
-            adam_step,
-            (state.discriminator, state.optimizer),
-            jax.random.split(key, settings.discriminator_steps),
+    def _imitation_returns(self, adversary: AdversaryState, episodes: Rollout) -> jax.Array:
+        """``(B,)`` reward of each rollout: the mean over its live steps, or their sum."""
+        num_seen = self._adversary.num_seen(episodes.lengths)
+        totals = episodes.sum_over_steps(
+            lambda *steps: self._adversary.rewards(adversary, self._adversary.inputs(*steps)),
+            num_seen,
         )
-        return parameters, optimizer, jax.tree.map(lambda x: x[-1], metrics)
-
-    def _imitation_returns(self, parameters: Any, episodes: Rollout) -> jax.Array:
-        """``(B,)`` reward of each rollout: E over its live steps of −log(1 − D), or the sum."""
-
-        def rewards(observations: jax.Array, actions: jax.Array) -> jax.Array:
-            inputs = self.expert.discriminator_inputs(observations, actions)
-            return adversary.imitation_reward(self._logits(parameters, inputs))
-
-        totals = episodes.sum_over_steps(rewards)
-        return totals / episodes.lengths if self.settings.reward_reduction == "mean" else totals
+        return totals / num_seen if self.settings.reward_reduction == "mean" else totals
 
 
 def make_ailsrs(

@@ -1,4 +1,4 @@
-"""Augmented random search on the environment's own reward: how experts are made.
+"""Augmented and basic random search on the environment's own reward.
 
 Mania, Guy and Recht, "Simple random search of static linear policies is competitive for
 reinforcement learning", NeurIPS 2018.
@@ -145,3 +145,18 @@ class Ars:
             iteration=state.iteration + 1,
         )
         return state, metrics
+
+
+def make_ars(
+    env: Env,
+    settings: ArsSettings,
+    devices: Devices = ONE_DEVICE,
+    rollout_batch_size: int | None = None,
+) -> Ars:
+    """See :class:`Ars`.
+
+    Raises:
+        UserError: the directions cannot be shared evenly.
+    """
+    devices.require_share(settings.num_directions)
+    return Ars(env, settings, devices, rollout_batch_size)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.envs import Env, State
 
 # Once no episode waits and at most one slot in so many is busy, the rest is simulated in only
@@ -47,26 +47,31 @@ class Rollout(struct.PyTreeNode):
         """``()`` live steps simulated."""
         return self.lengths.sum()
 
-    def sum_over_steps(self, function: Callable[[jax.Array, jax.Array], jax.Array]) -> jax.Array:
-        """``(B,)`` sums over live steps of ``function(observations, actions)``.
+    def sum_over_steps(
+        self, function: Callable[[jax.Array, jax.Array, jax.Array], jax.Array], counts: jax.Array
+    ) -> jax.Array:
+        """``(B,)`` sums of ``function(observations, actions, next_observations)``.
 
-        In slices of time, which bounds the memory and stops where the last episode does.
+        Over the first ``counts (B,)`` steps of each episode. In slices of time, which bounds the
+        memory and stops where the last episode does. What follows an episode's last step is not
+        recorded, and is given as zeros.
         """
         num_steps = self.observations.shape[1]
         slice_length = min(SLICE_LENGTH, num_steps)
 
         def add_slice(index: jax.Array, totals: jax.Array) -> jax.Array:
             start = jnp.minimum(index * slice_length, num_steps - slice_length)
+            time = start + jnp.arange(slice_length)
             values = function(
                 jax.lax.dynamic_slice_in_dim(self.observations, start, slice_length, axis=1),
                 jax.lax.dynamic_slice_in_dim(self.actions, start, slice_length, axis=1),
+                jnp.take(self.observations, time + 1, axis=1, mode="fill", fill_value=0.0),
             )
-            time = start + jnp.arange(slice_length)
-            counts = (time >= index * slice_length) & (time < self.lengths[:, None])
-            return totals + jnp.sum(values, axis=1, where=counts)
+            counted = (time >= index * slice_length) & (time < counts[:, None])
+            return totals + jnp.sum(values, axis=1, where=counted)
 
-        num_slices = -(-self.lengths.max() // slice_length)
-        return jax.lax.fori_loop(0, num_slices, add_slice, jnp.zeros(self.lengths.shape))
+        num_slices = -(-counts.max() // slice_length)
+        return jax.lax.fori_loop(0, num_slices, add_slice, jnp.zeros(counts.shape))
 
     def episodes(self, start: int, stop: int | None = None) -> "Rollout":
         """The episodes ``start`` to ``stop`` of the batch."""
@@ -99,10 +104,11 @@ def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
 
 def rollout(
     env: Env,
-    policies: LinearPolicy,
+    policies: Policy,
     reset_keys: jax.Array,
     episode_length: int,
     batch_size: int | None = None,
+    noise: jax.Array | None = None,
 ) -> Rollout:
     """Simulate one episode of each policy.
 
@@ -121,22 +127,20 @@ def rollout(
         reset_keys: ``(B,)`` keys for the initial states.
         episode_length: T, the time limit in environment steps.
         batch_size: S, simulations at a time; by default all B.
+        noise: ``(B, T, p)``, added to the actions before they are clipped.
     """
 
     @jax.custom_batching.custom_vmap
-    def simulate(policies: LinearPolicy, reset_keys: jax.Array) -> Rollout:
-        return _simulate(env, policies, reset_keys, episode_length, batch_size)
+    def simulate(policies: Policy, reset_keys: jax.Array, noise: jax.Array | None) -> Rollout:
+        return _simulate(env, policies, reset_keys, noise, episode_length, batch_size)
 
     @simulate.def_vmap
-    def _merge_axes(
-        axis_size: int, in_batched: Any, policies: LinearPolicy, reset_keys: jax.Array
-    ) -> tuple[Rollout, Any]:
+    def _merge_axes(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[Rollout, Any]:
         def merge(batched: bool, x: jax.Array) -> jax.Array:
             x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
             return x.reshape(-1, *x.shape[2:])
 
-        policies, reset_keys = jax.tree.map(merge, tuple(in_batched), (policies, reset_keys))
-        merged = simulate(policies, reset_keys)
+        merged = simulate(*jax.tree.map(merge, tuple(in_batched), arguments))
 
         def split(x: jax.Array) -> jax.Array:
             return x.reshape(axis_size, -1, *x.shape[1:])
@@ -150,14 +154,15 @@ def rollout(
         )
         return batch, jax.tree.map(lambda _: True, batch)
 
-    result: Rollout = simulate(policies, reset_keys)
+    result: Rollout = simulate(policies, reset_keys, noise)
     return result
 
 
 def _simulate(
     env: Env,
-    policies: LinearPolicy,
+    policies: Policy,
     reset_keys: jax.Array,
+    noise: jax.Array | None,
     episode_length: int,
     batch_size: int | None,
 ) -> Rollout:
@@ -185,7 +190,10 @@ def _simulate(
         if not all_at_once:
             # Of an idle slot any policy will do: what comes of it is written nowhere.
             acting = jax.tree.map(lambda x: x.at[episode].get(mode="clip"), policies)
-        actions = jax.vmap(LinearPolicy.__call__)(acting, slots.env_state.obs)
+        inputs = [slots.env_state.obs]
+        if noise is not None:
+            inputs.append(noise.at[episode, time].get(mode="clip"))
+        actions = jax.vmap(lambda policy, *inputs: policy(*inputs))(acting, *inputs)
         env_state = jax.vmap(env.step)(slots.env_state, actions)
 
         def record(buffer: jax.Array, values: jax.Array) -> jax.Array:

@@ -6,7 +6,17 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ailsrs_jax.errors import UserError
 
-POSITIVE = {"step_size", "noise_std", "discriminator_learning_rate"}
+POSITIVE = {
+    "step_size",
+    "noise_std",
+    "discriminator_learning_rate",
+    "learning_rate",
+    "value_learning_rate",
+    "max_divergence",
+    "validation_fraction",
+}
+ANY_SIGN = {"survival_bonus", "stop_at"}
+AT_MOST_ONE = {"validation_fraction", "discount", "advantage_decay", "discounting", "gae_lambda"}
 
 SettingsT = TypeVar("SettingsT")
 
@@ -38,9 +48,11 @@ def validate(settings: Any) -> None:
             raise UserError(f"setting {name} is {value}: it must be finite")
         if name in POSITIVE and value <= 0:
             raise UserError(f"setting {name} is {value}: it must be positive")
-        if type(value) is float and name != "survival_bonus" and value < 0:
+        if type(value) is float and name not in ANY_SIGN and value < 0:
             raise UserError(f"setting {name} is {value}: it must not be negative")
-    if values["num_top_directions"] > values["num_directions"]:
+        if name in AT_MOST_ONE and value > 1:
+            raise UserError(f"setting {name} is {value}: it must be at most 1")
+    if values.get("num_top_directions", 0) > values.get("num_directions", 0):
         raise UserError(
             f"setting num_top_directions is {values['num_top_directions']}: it must be from 1 to "
             f"num_directions, {values['num_directions']}"

@@ -31,17 +31,17 @@ def test_loss_is_that_of_each_pair() -> None:
 
 @pytest.mark.parametrize("score", [1e-4, 0.3, 0.5, 0.999])
 def test_reward_is_minus_log_of_one_minus_score(score: float) -> None:
-    reward = adversary.imitation_reward(logit(score))
+    reward = adversary.gail_reward(logit(score))
     np.testing.assert_allclose(reward, -np.log(1 - score), rtol=1e-3)
 
 
 def test_reward_at_the_labels() -> None:
-    rewards = adversary.imitation_reward(jnp.array([-200.0, 0.0, 200.0]))
+    rewards = adversary.gail_reward(jnp.array([-200.0, 0.0, 200.0]))
     np.testing.assert_allclose(rewards, [0.0, np.log(2), 200.0], atol=1e-6)
 
 
 def test_reward_is_finite_and_expert_like_is_high() -> None:
-    rewards = adversary.imitation_reward(jnp.linspace(-1e4, 1e4, 101))
+    rewards = adversary.gail_reward(jnp.linspace(-1e4, 1e4, 101))
     assert bool(jnp.isfinite(rewards).all())
     assert bool((jnp.diff(rewards) >= 0).all())
 

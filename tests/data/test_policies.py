@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy, expert_path, load_policy
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
 
@@ -18,7 +18,7 @@ def fields() -> dict[str, np.ndarray]:
 
 
 def test_action_by_hand_after_the_disk(tmp_path) -> None:
-    SavedPolicy(**fields()).save(tmp_path / "policy.npz")
+    SavedLinearPolicy(**fields()).save(tmp_path / "policy.npz")
     policy = load_policy(tmp_path / "policy.npz")
     np.testing.assert_allclose(policy(np.array([3.0, 1.0])), [3.0])
     np.testing.assert_allclose(policy(np.array([3.0, 9.0])), [4.0])
@@ -39,6 +39,81 @@ WRONG = {
 @pytest.mark.parametrize(("message", "change"), WRONG.items())
 def test_contradictions_are_named(message: str, change: dict[str, np.ndarray], tmp_path) -> None:
     np.savez(tmp_path / "wrong.npz", **(fields() | change))
+    with pytest.raises(UserError) as caught:
+        load_policy(tmp_path / "wrong.npz")
+    assert message in str(caught.value)
+
+
+def mlp_fields() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "weights_0": rng.normal(size=(4, 2)),
+        "biases_0": rng.normal(size=4),
+        "weights_1": rng.normal(size=(1, 4)),
+        "biases_1": rng.normal(size=1),
+        "mean": np.array([1.0, 0.0]),
+        "std": np.array([2.0, 1.0]),
+        "action_low": np.array([-1.0]),
+        "action_high": np.array([4.0]),
+        "action_std": np.array([0.5]),
+        "activation": np.array("tanh"),
+        "squash": np.array(False),
+        "env_id": np.array("Swimmer-v5"),
+    }
+
+
+@pytest.mark.parametrize("activation", ["tanh", "swish"])
+@pytest.mark.parametrize("squash", [False, True])
+def test_a_neural_policy_comes_back_from_the_disk(activation: str, squash: bool, tmp_path) -> None:
+    np.savez(tmp_path / "a.npz", **mlp_fields() | {"activation": activation, "squash": squash})
+    policy = load_policy(tmp_path / "a.npz")
+    policy.save(tmp_path / "b.npz")
+    again = load_policy(tmp_path / "b.npz")
+    assert isinstance(again, SavedMlpPolicy)
+    x = np.array([3.0, 1.0])
+    np.testing.assert_array_equal(again(x), policy(x))
+    hidden = mlp_fields()["weights_0"] @ np.array([1.0, 1.0]) + mlp_fields()["biases_0"]
+    hidden = np.tanh(hidden) if activation == "tanh" else hidden / (1 + np.exp(-hidden))
+    output = mlp_fields()["weights_1"] @ hidden + mlp_fields()["biases_1"]
+    expected = -1 + 5 * (np.tanh(output) + 1) / 2 if squash else np.clip(output, -1, 4)
+    np.testing.assert_allclose(policy(x), expected)
+
+
+def test_drawn_actions_have_the_policys_spread(tmp_path) -> None:
+    np.savez(tmp_path / "a.npz", **mlp_fields() | {"action_low": np.array([-99.0])})
+    policy = load_policy(tmp_path / "a.npz")
+    rng = np.random.default_rng(1)
+    actions = np.array([policy(np.zeros(2), rng) for _ in range(2000)])
+    np.testing.assert_allclose(actions.mean(), policy(np.zeros(2))[0], atol=0.05)
+    np.testing.assert_allclose(actions.std(), 0.5, rtol=0.05)
+
+
+def test_a_deterministic_policy_has_nothing_to_draw() -> None:
+    policy = SavedLinearPolicy(**fields())
+    with pytest.raises(UserError, match="deterministic"):
+        policy(np.zeros(2), np.random.default_rng(0))
+
+
+WRONG_MLP = {
+    "has no biases_1": {"biases_1": None},
+    "has no weights_0": {"weights_0": None, "weights_2": np.ones((1, 1))},
+    "has no activation": {"activation": None},
+    "layers 0 and 1 are (4, 2) and (1, 3): they do not fit": {"weights_1": np.ones((1, 3))},
+    "biases_0 is (3,), not (4,)": {"biases_0": np.ones(3)},
+    "mean is (4,), not (2,)": {"mean": np.ones(4)},
+    "action_std is (2,), not (1,)": {"action_std": np.ones(2)},
+    "activation is 'relu', not tanh or swish": {"activation": np.array("relu")},
+    "activation is not a single string": {"activation": np.array(1)},
+    "squash is neither true nor false": {"squash": np.array(2)},
+    "weights_1 is not made of finite": {"weights_1": np.full((1, 4), np.inf)},
+    "weights are (0, 2): there is nothing in them": {"weights_0": np.ones((0, 2))},
+}
+
+
+@pytest.mark.parametrize(("message", "change"), WRONG_MLP.items())
+def test_contradictions_of_a_neural_policy_are_named(message: str, change, tmp_path) -> None:
+    arrays = {name: x for name, x in (mlp_fields() | change).items() if x is not None}
+    np.savez(tmp_path / "wrong.npz", **arrays)
     with pytest.raises(UserError) as caught:
         load_policy(tmp_path / "wrong.npz")
     assert message in str(caught.value)

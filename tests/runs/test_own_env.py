@@ -10,7 +10,7 @@ from brax import envs
 from brax.envs.wrappers.training import EpisodeWrapper
 
 import ailsrs_jax as ail
-from ailsrs_jax.runs.presets import expert_settings, preset_settings
+from ailsrs_jax.runs.presets import preset_settings
 from tests.point_mass import EXPERT_WEIGHTS, PointMass
 
 SEARCH = {"num_iterations": 2, "num_directions": 2, "num_top_directions": 1, "episode_length": 10}
@@ -20,12 +20,20 @@ TINY = SEARCH | {"discriminator_batch_size": 16, "memory_samples": 16, "num_dist
 def spring() -> ail.SavedPolicy:
     """The point mass's expert."""
     ones = np.ones(1, np.float32)
-    return ail.SavedPolicy(EXPERT_WEIGHTS, np.zeros(2), np.ones(2), -ones, ones, "PointMass")
+    return ail.SavedLinearPolicy(
+        weights=EXPERT_WEIGHTS,
+        mean=np.zeros(2),
+        std=np.ones(2),
+        action_low=-ones,
+        action_high=ones,
+        env_id="PointMass",
+    )
 
 
 def there_and_back(env: Any, env_id: str, physics: str, output: Path) -> None:
     """All steps that the README shows, each of them tiny."""
-    expert = ail.train_expert(env, seed=1, output=output / "expert.npz", **SEARCH)
+    path = output / "expert.npz"
+    expert = ail.train_expert(env, algorithm="ars", seed=1, output=path, **SEARCH)
     assert ail.load_policy(output / "expert.npz").env_id == expert.env_id == env_id
     demonstrations = ail.demonstrate(expert, 3, env=env, episode_length=10)
     ail.save_demonstrations(demonstrations, output / "demonstrations.npz")
@@ -67,7 +75,14 @@ def test_evaluation_has_a_time_limit_everywhere() -> None:
     assert ail.evaluate(spring(), 2, env=PointMass(), episode_length=4).lengths.tolist() == [4, 4]
     weights = np.zeros((2, 8))
     ones = np.ones(2)
-    still = ail.SavedPolicy(weights, np.zeros(8), np.ones(8), -ones, ones, "Swimmer-v5")
+    still = ail.SavedLinearPolicy(
+        weights=weights,
+        mean=np.zeros(8),
+        std=np.ones(8),
+        action_low=-ones,
+        action_high=ones,
+        env_id="Swimmer-v5",
+    )
     for physics in ("gymnasium", "mujoco"):
         assert ail.evaluate(still, 1, physics, episode_length=4).lengths.tolist() == [4]
     with pytest.raises(ail.UserError, match="1 episodes of 0 steps"):
@@ -86,12 +101,12 @@ def test_mistakes_are_one_line(point_mass_expert: ail.Demonstrations) -> None:
         "1 observations and 1 actions: PointMass has 2 and 1": lambda: ail.train(
             env, point_mass_expert.replace(observations=np.zeros((8, 60, 1), np.float32))
         ),
-        "weights are (1, 2): the environment needs (2, 8)": lambda: ail.evaluate(
-            policy, env=ail.make_env("swimmer")
+        "takes 2 observations and gives 1 actions: the environment has 8 and 2": lambda: (
+            ail.evaluate(policy, env=ail.make_env("swimmer"))
         ),
         "an environment has its own": lambda: ail.train(env, point_mass_expert, physics="mjx"),
         "a class": lambda: ail.train_expert(PointMass),
-        "no setting 'learning_rate'": lambda: ail.train_expert(env, learning_rate=1),
+        "no setting 'step_size'": lambda: ail.train_expert(env, step_size=1),
         "2 trajectories of 0 steps": lambda: ail.demonstrate(policy, 2, env=env, episode_length=0),
     }
     for message, call in calls.items():
@@ -106,4 +121,4 @@ def test_settings_of_a_task_without_a_preset() -> None:
     assert tuned.num_iterations == 100
     assert tuned.gradient_penalty == preset_settings("Hopper-v5", "tuned").gradient_penalty
     assert paper == ail.AilsrsSettings()
-    assert expert_settings("PointMass") == ail.ArsSettings()
+    assert preset_settings("PointMass", "tuned", "ars") == ail.ArsSettings()

@@ -1,7 +1,8 @@
 import pytest
 
 from ailsrs_jax.envs.registry import TASKS
-from ailsrs_jax.runs.presets import EXPERTS, PRESETS, preset_settings
+from ailsrs_jax.runs.algorithms import ALGORITHMS
+from ailsrs_jax.runs.presets import PRESETS, preset_settings
 from ailsrs_jax.trainers.settings import validate
 
 
@@ -29,5 +30,5 @@ def test_only_half_cheetah_starts_from_behavior_cloning_in_the_paper() -> None:
 @pytest.mark.parametrize("env_id", TASKS)
 def test_every_task_has_every_preset(env_id: str) -> None:
     for preset in PRESETS:
-        validate(preset_settings(env_id, preset))
-    validate(EXPERTS[env_id])
+        for algorithm in ALGORITHMS:
+            validate(preset_settings(env_id, preset, algorithm))

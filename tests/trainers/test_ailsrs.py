@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ailsrs_jax.components.discriminator import Discriminator
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.ailsrs import (
@@ -112,25 +113,30 @@ def test_statistics_run_or_stay_the_experts(
 
 
 @pytest.mark.parametrize("reduction", ["mean", "sum"])
+@pytest.mark.parametrize("sees", ["state_action", "state", "state_next_state"])
 def test_reward_of_a_rollout_in_closed_form(
-    reduction: str, point_mass: PointMass, point_mass_expert: Demonstrations
+    reduction: str, sees: str, point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:
     """With any parameters: softplus of the logits, over live steps only, in slices or not."""
-    settings = dataclasses.replace(SMALL, reward_reduction=reduction)
+    settings = dataclasses.replace(SMALL, reward_reduction=reduction, discriminator_sees=sees)
     trainer = make_ailsrs(point_mass, point_mass_expert, settings)
-    parameters = trainer.init(jax.random.key(1)).discriminator
-    lengths = np.array([1, 49, 50, 51, 120])
+    adversary = trainer.init(jax.random.key(1)).adversary
+    lengths = np.array([2, 49, 50, 51, 120])
     observations = np.random.default_rng(0).normal(size=(5, 120, 2)).astype(np.float32)
     actions = np.random.default_rng(1).normal(size=(5, 120, 1)).astype(np.float32)
     episodes = Rollout(
         *map(jnp.asarray, (observations, actions, actions[..., 0], lengths, lengths.sum()))
     )
-    returns = trainer._imitation_returns(parameters, episodes)
-    logit = functools.partial(trainer.network.apply, parameters)
+    returns = trainer._imitation_returns(adversary, episodes)
+    logit = functools.partial(Discriminator().apply, adversary.parameters)
+    mean, std = trainer.expert.statistics.mean, trainer.expert.statistics.std
     for index, length in enumerate(lengths):
-        inputs = trainer.expert.discriminator_inputs(
-            observations[index, :length], actions[index, :length]
-        )
+        states = (observations[index, :length] - mean) / std
+        inputs = {
+            "state_action": jnp.concatenate([states, actions[index, :length]], axis=1),
+            "state": states,
+            "state_next_state": jnp.concatenate([states[:-1], states[1:]], axis=1),
+        }[sees]
         rewards = -np.log1p(-jax.nn.sigmoid(logit(inputs)))
         expected = rewards.mean() if reduction == "mean" else rewards.sum()
         np.testing.assert_allclose(returns[index], expected, rtol=1e-4)

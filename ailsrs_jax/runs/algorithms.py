@@ -1,0 +1,80 @@
+"""The algorithms by name: what each learns from, and how it is made."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import jax
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs import Env
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.ailsrs import make_ailsrs
+from ailsrs_jax.trainers.ars import make_ars
+from ailsrs_jax.trainers.behavior_cloning import make_behavior_cloning
+from ailsrs_jax.trainers.devices import Devices
+from ailsrs_jax.trainers.gail import make_gail
+from ailsrs_jax.trainers.trpo import make_trpo
+
+
+class Trainer(Protocol):
+    """What every algorithm is; its states have ``kept`` and ``iteration``."""
+
+    def init(self, key: jax.Array) -> Any:
+        """The state before the first iteration."""
+
+    def update(self, state: Any) -> tuple[Any, dict[str, jax.Array]]:
+        """One iteration: the next state, and scalar metrics."""
+
+    def train(self, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+        """The whole run as one function of a key; metrics are stacked over iterations."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Algorithm:
+    """One way to train a policy."""
+
+    title: str
+    imitates: bool  # learns from demonstrations, not from the environment's reward
+    searches: bool  # by directions, which devices can share
+    make: Callable[..., Trainer]  # env, demonstrations if it imitates, settings, devices if …
+
+
+ALGORITHMS = {
+    "ailsrs": Algorithm("AILSRS", imitates=True, searches=True, make=make_ailsrs),
+    "bc": Algorithm("BC", imitates=True, searches=False, make=make_behavior_cloning),
+    "gail": Algorithm("GAIL", imitates=True, searches=False, make=make_gail),
+    "ars": Algorithm("ARS", imitates=False, searches=True, make=make_ars),
+    "brs": Algorithm("BRS", imitates=False, searches=True, make=make_ars),
+    "trpo": Algorithm("TRPO", imitates=False, searches=False, make=make_trpo),
+}
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """The algorithm called ``name``.
+
+    Raises:
+        UserError: there is none.
+    """
+    if name not in ALGORITHMS:
+        raise UserError(f"unknown algorithm '{name}': use one of {', '.join(ALGORITHMS)}")
+    return ALGORITHMS[name]
+
+
+def make_trainer(
+    algorithm: Algorithm,
+    env: Env,
+    demonstrations: Demonstrations | None,
+    settings: Any,
+    devices: Devices,
+    rollout_batch_size: int | None,
+) -> Trainer:
+    """The trainer of ``algorithm``.
+
+    Raises:
+        UserError: the settings, the demonstrations and the devices do not go together.
+    """
+    arguments = [env, *([demonstrations] if algorithm.imitates else []), settings]
+    if algorithm.searches:
+        arguments += [devices, rollout_batch_size]
+    return algorithm.make(*arguments)

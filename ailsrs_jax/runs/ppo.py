@@ -1,0 +1,169 @@
+"""Neural experts: Brax's proximal policy optimization on our environments."""
+
+import contextlib
+import dataclasses
+import functools
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.envs.base import Wrapper
+from brax.envs.wrappers import training as wrappers
+from brax.training.agents.ppo import networks, train
+
+from ailsrs_jax.components.policy import MlpPolicy, repeated
+from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.trainers.rollout import action_range, rollout
+
+
+@dataclasses.dataclass(frozen=True)
+class PpoSettings:
+    """Settings of :func:`train_ppo`, under Brax's names."""
+
+    num_env_steps: int = 5_000_000
+    num_evaluations: int = 50
+    num_evaluation_episodes: int = 16
+    episode_length: int = 1000
+    num_envs: int = 64
+    unroll_length: int = 32  # steps of an environment in a batch
+    num_minibatches: int = 8  # of num_envs / num_minibatches environments each
+    num_updates_per_batch: int = 10
+    learning_rate: float = 3e-4
+    entropy_cost: float = 0.0
+    discounting: float = 0.99
+    gae_lambda: float = 0.95
+    clipping_epsilon: float = 0.2
+    reward_scaling: float = 0.1
+    hidden_size: int = 64  # tanh units in each of two layers
+    stop_at: float = 0.0  # return at which to stop, keeping the policy nearest to it; 0: never
+
+
+class _UnitActions(Wrapper):
+    """Stretches actions from −1 to 1, which are all that Brax's policies do, to their range."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        low, high = action_range(self.env)
+        return self.env.step(state, low + (action + 1.0) / 2.0 * (high - low))
+
+
+class _StopError(Exception):
+    """Ends Brax's training from within its callback."""
+
+
+# What made the experts that ship with the package (ailsrs_jax/data/experts/README.md).
+PPO_PRESETS: dict[str, PpoSettings] = {}
+
+
+def train_ppo(
+    env: Env,
+    settings: PpoSettings,
+    seed: int,
+    consider: Callable[[IterationReport, MlpPolicy, float], None],
+) -> None:
+    """Train a squashed Gaussian policy on the reward of ``env``.
+
+    Args:
+        env: the environment.
+        settings: the settings.
+        seed: random seed.
+        consider: called after each part of the training, with what there is to report, the mean of
+            the Gaussian policy, and how good it is, higher being better.
+
+    Raises:
+        UserError: the minibatches cannot have the same number of environments.
+    """
+    if settings.num_envs % settings.num_minibatches:
+        raise UserError(
+            f"setting num_envs is {settings.num_envs}: it must be a multiple of num_minibatches, "
+            f"{settings.num_minibatches}"
+        )
+    evaluate = jax.jit(functools.partial(_evaluate, env, settings))
+    steps_done, iteration, started = 0, 0, time.perf_counter()
+
+    def evaluated(num_steps: int, _: Any, parameters: Any) -> None:
+        nonlocal steps_done, iteration, started
+        if num_steps == 0:  # nothing has been trained yet
+            return
+        policy = _policy(env, parameters)
+        episodes = evaluate(policy, jax.random.key(iteration))
+        mean = float(episodes.env_returns.mean())
+        metrics = {
+            "evaluation_return": mean,
+            "evaluation_length": float(episodes.lengths.mean()),
+            "env_steps": num_steps,
+        }
+        report = IterationReport(
+            iteration=iteration,
+            num_iterations=settings.num_evaluations,
+            metrics={name: np.array([value]) for name, value in metrics.items()},
+            env_steps_per_second=(num_steps - steps_done) / (time.perf_counter() - started),
+            compile_seconds=None,  # Brax compiles within the first part
+        )
+        consider(report, policy, -abs(mean - settings.stop_at) if settings.stop_at else mean)
+        if settings.stop_at and mean >= settings.stop_at:
+            raise _StopError
+        steps_done, iteration, started = num_steps, iteration + 1, time.perf_counter()
+
+    with contextlib.suppress(_StopError):
+        train.train(
+            environment=_UnitActions(env),
+            wrap_env_fn=wrappers.wrap,
+            max_devices_per_host=1,
+            num_timesteps=settings.num_env_steps,
+            num_evals=settings.num_evaluations + 1,
+            run_evals=False,  # the reports above are ours
+            num_resets_per_eval=1,
+            num_envs=settings.num_envs,
+            episode_length=settings.episode_length,
+            unroll_length=settings.unroll_length,
+            batch_size=settings.num_envs // settings.num_minibatches,
+            num_minibatches=settings.num_minibatches,
+            num_updates_per_batch=settings.num_updates_per_batch,
+            learning_rate=settings.learning_rate,
+            entropy_cost=settings.entropy_cost,
+            discounting=settings.discounting,
+            gae_lambda=settings.gae_lambda,
+            clipping_epsilon=settings.clipping_epsilon,
+            reward_scaling=settings.reward_scaling,
+            normalize_observations=True,
+            network_factory=functools.partial(
+                networks.make_ppo_networks,
+                policy_hidden_layer_sizes=(settings.hidden_size,) * 2,
+                value_hidden_layer_sizes=(settings.hidden_size,) * 2,
+                activation=jnp.tanh,
+            ),
+            policy_params_fn=evaluated,
+            seed=seed,
+        )
+
+
+def _policy(env: Env, parameters: Any) -> MlpPolicy:
+    """The mean of Brax's policy; its standard deviation, which depends on the state, is dropped."""
+    normalizer, policy, *_ = parameters
+    layers = [policy["params"][f"hidden_{i}"] for i in range(len(policy["params"]))]
+    _, num_actions = env_sizes(env)
+    layers[-1] = jax.tree.map(lambda x: x[..., :num_actions], layers[-1])
+    low, high = action_range(env)
+    return MlpPolicy(
+        weights=tuple(layer["kernel"].T for layer in layers),
+        biases=tuple(layer["bias"] for layer in layers),
+        mean=normalizer.mean,
+        std=normalizer.std,
+        action_low=low,
+        action_high=high,
+        action_std=jnp.zeros(num_actions),
+        activation="tanh",
+        squash=True,
+    )
+
+
+def _evaluate(env: Env, settings: PpoSettings, policy: MlpPolicy, key: jax.Array) -> Any:
+    num_episodes = settings.num_evaluation_episodes
+    policies = repeated(policy, num_episodes)
+    return rollout(env, policies, jax.random.split(key, num_episodes), settings.episode_length)

@@ -1,0 +1,184 @@
+"""Behaviour cloning: a linear policy by supervised learning of the expert's actions."""
+
+import dataclasses
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from ailsrs_jax.components.linear_regression import ridge_regression
+from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep, repeated
+from ailsrs_jax.components.sampling import sample_steps
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers.expert import Expert, make_expert
+from ailsrs_jax.trainers.rollout import action_range, rollout
+
+
+@dataclasses.dataclass(frozen=True)
+class BehaviorCloningSettings:
+    """Settings of :class:`BehaviorCloning`; the paper says Adam and no more."""
+
+    num_iterations: int = 100  # at most
+    solver: Literal["adam", "ridge"] = "adam"  # ridge is the exact solution, in one iteration
+    learning_rate: float = 1e-3
+    gradient_steps: int = 100  # of Adam, each iteration
+    batch_size: int = 256
+    validation_fraction: float = 0.1  # of the demonstrations, not trained on
+    patience: int = 10  # iterations without a smaller validation loss until the end
+    episode_length: int = 1000
+    num_evaluation_episodes: int = 4
+    num_distance_samples: int = 1500  # from each side
+
+
+class TrainState(struct.PyTreeNode):
+    """What one iteration hands to the next."""
+
+    weights: jax.Array  # (p, n)
+    optimizer: optax.OptState
+    kept: KeptPolicy  # of the smallest validation loss so far
+    key: jax.Array
+    iteration: jax.Array  # () int32
+    finished: jax.Array  # () bool, nothing has got better for a while, or nothing can
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BehaviorCloning:
+    """Clones the ``expert``; ``env`` is only there to see how well that does.
+
+    Minimises E ‖M z − a‖² over the expert's actions a and observations z, standardised with its
+    own statistics. A part of it is held out, to tell when to stop and what to keep.
+    """
+
+    env: Env
+    settings: BehaviorCloningSettings
+    expert: Expert
+
+    def init(self, key: jax.Array) -> TrainState:
+        """All weights zero."""
+        weights = jnp.zeros((self.env.action_size, self.env.observation_size))
+        return TrainState(
+            weights=weights,
+            optimizer=self._adam.init(weights),
+            kept=keep(self.policy(weights)),
+            key=key,
+            iteration=jnp.zeros((), jnp.int32),
+            finished=jnp.zeros((), bool),
+        )
+
+    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+        """Some steps of Adam, or the exact solution; then measure the losses and the return."""
+        settings, expert = self.settings, self.expert
+        keys = jax.random.split(state.key, 4)
+        key, batch_key, reset_key, distance_key = keys
+        lengths = training_lengths(expert.lengths, settings.validation_fraction)
+        training = jnp.arange(expert.observations.shape[1]) < lengths[:, None]
+
+        weights, optimizer = state.weights, state.optimizer
+        if settings.solver == "ridge":
+            weights = ridge_regression(expert.observations, expert.actions, training)
+        else:
+            weights, optimizer = self._descend(weights, optimizer, lengths, batch_key)
+        validation_loss = self._loss(weights, expert.alive & ~training)
+        policy = self.policy(weights)
+        kept = state.kept.offer(policy, -validation_loss, state.iteration)
+        waited = state.iteration - kept.iteration >= settings.patience
+
+        num_episodes = settings.num_evaluation_episodes
+        evaluation = rollout(
+            self.env,
+            repeated(policy, num_episodes),
+            jax.random.split(reset_key, num_episodes),
+            settings.episode_length,
+        )
+        metrics = {
+            "evaluation_return": evaluation.env_returns.mean(),
+            "evaluation_length": evaluation.lengths.mean(),
+            "expert_distance": expert.distance(
+                distance_key,
+                evaluation.observations,
+                evaluation.actions,
+                evaluation.lengths,
+                settings.episode_length,
+            ),
+            "training_loss": self._loss(weights, training),
+            "validation_loss": validation_loss,
+            "env_steps": evaluation.env_steps,
+        }
+        state = TrainState(
+            weights=weights,
+            optimizer=optimizer,
+            kept=kept,
+            key=key,
+            iteration=state.iteration + 1,
+            finished=waited | (settings.solver == "ridge"),
+        )
+        return state, metrics
+
+    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
+        """All iterations as one function of a key, without an early end."""
+        return jax.lax.scan(
+            lambda state, _: self.update(state),
+            self.init(key),
+            length=self.settings.num_iterations,
+        )
+
+    def policy(self, weights: jax.Array) -> LinearPolicy:
+        """The policy with the expert's statistics."""
+        statistics = self.expert.statistics
+        return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
+
+    @property
+    def _adam(self) -> optax.GradientTransformation:
+        return optax.adam(self.settings.learning_rate)
+
+    def _descend(
+        self, weights: jax.Array, optimizer: optax.OptState, lengths: jax.Array, key: jax.Array
+    ) -> tuple[jax.Array, optax.OptState]:
+        """Adam on minibatches of the first ``lengths (E,)`` steps of the demonstrations."""
+        settings, expert = self.settings, self.expert
+
+        def loss(weights: jax.Array, episode: jax.Array, time: jax.Array) -> jax.Array:
+            predicted = expert.observations[episode, time] @ weights.T
+            errors = jnp.square(predicted - expert.actions[episode, time])
+            return errors.sum(axis=-1).mean()
+
+        def adam_step(
+            carry: tuple[jax.Array, optax.OptState], key: jax.Array
+        ) -> tuple[tuple[jax.Array, optax.OptState], None]:
+            weights, optimizer = carry
+            gradients = jax.grad(loss)(weights, *sample_steps(key, lengths, settings.batch_size))
+            updates, optimizer = self._adam.update(gradients, optimizer, weights)
+            return (optax.apply_updates(weights, updates), optimizer), None
+
+        keys = jax.random.split(key, settings.gradient_steps)
+        carry, _ = jax.lax.scan(adam_step, (weights, optimizer), keys)
+        return carry
+
+    def _loss(self, weights: jax.Array, mask: jax.Array) -> jax.Array:
+        """``()`` mean of ‖M z − a‖² over the steps where ``mask (E, T)`` is true."""
+        errors = jnp.square(self.expert.observations @ weights.T - self.expert.actions)
+        return jnp.sum(errors, where=mask[..., None]) / jnp.maximum(mask.sum(), 1)
+
+
+def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Array:
+    """``(E,)`` how many of each episode's first steps are trained on.
+
+    All or, of the last episodes, none: steps of the same episode are too alike to tell whether one
+    has learned more than these. Of a single episode its first part.
+    """
+    num_episodes = len(lengths)
+    if num_episodes == 1:
+        return jnp.maximum(jnp.ceil(lengths * (1.0 - validation_fraction)).astype(jnp.int32), 1)
+    num_held_out = min(max(round(num_episodes * validation_fraction), 1), num_episodes - 1)
+    return jnp.where(jnp.arange(num_episodes) < num_episodes - num_held_out, lengths, 0)
+
+
+def make_behavior_cloning(
+    env: Env, demonstrations: Demonstrations, settings: BehaviorCloningSettings
+) -> BehaviorCloning:
+    """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`."""
+    expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    return BehaviorCloning(env, settings, expert)

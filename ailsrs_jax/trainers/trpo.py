@@ -1,0 +1,107 @@
+"""Trust region policy optimization of a neural policy on the environment's own reward."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ailsrs_jax.components import normalizer
+from ailsrs_jax.components.policy import KeptPolicy, keep
+from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers import segments
+from ailsrs_jax.trainers.actor_critic import (
+    ActorCritic,
+    TrustRegionSettings,
+    collect_and_improve,
+    evaluate,
+    gaussian_policy,
+    make_actor_critic,
+    require_batches,
+)
+from ailsrs_jax.trainers.segments import Episodes
+
+
+@dataclasses.dataclass(frozen=True)
+class TrpoSettings(TrustRegionSettings):
+    """Settings of :class:`Trpo`."""
+
+
+class TrainState(struct.PyTreeNode):
+    """What one iteration hands to the next."""
+
+    actor_critic: ActorCritic
+    episodes: Episodes
+    kept: KeptPolicy  # best by the return of its evaluation episodes
+    key: jax.Array
+    iteration: jax.Array  # () int32
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trpo:
+    """Trains on the reward of ``env``."""
+
+    env: Env
+    settings: TrpoSettings
+
+    def init(self, key: jax.Array) -> TrainState:
+        """A policy that does next to nothing but noise."""
+        key, network_key, reset_key = jax.random.split(key, 3)
+        statistics = normalizer.init(self.env.observation_size)
+        actor_critic = make_actor_critic(network_key, self.env, statistics, self.settings)
+        return TrainState(
+            actor_critic=actor_critic,
+            episodes=segments.begin(self.env, reset_key, self.settings.num_envs),
+            kept=keep(gaussian_policy(self.env, actor_critic)),
+            key=key,
+            iteration=jnp.zeros((), jnp.int32),
+        )
+
+    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+        """Evaluate the policy, then improve it a few times."""
+        settings = self.settings
+        key, evaluation_key, updates_key = jax.random.split(state.key, 3)
+        policy = gaussian_policy(self.env, state.actor_critic)
+        _, evaluated = evaluate(self.env, policy, evaluation_key, settings)
+
+        def once(
+            carry: tuple[ActorCritic, Episodes], key: jax.Array
+        ) -> tuple[tuple[ActorCritic, Episodes], dict[str, jax.Array]]:
+            actor_critic, episodes, _, metrics = collect_and_improve(
+                self.env, *carry, lambda steps: steps.env_rewards, key, settings
+            )
+            return (actor_critic, episodes), metrics
+
+        (actor_critic, episodes), metrics = jax.lax.scan(
+            once,
+            (state.actor_critic, state.episodes),
+            jax.random.split(updates_key, settings.updates_per_iteration),
+        )
+        env_steps = settings.updates_per_iteration * settings.batch_size
+        state = TrainState(
+            actor_critic=actor_critic,
+            episodes=episodes,
+            kept=state.kept.offer(policy, evaluated["evaluation_return"], state.iteration),
+            key=key,
+            iteration=state.iteration + 1,
+        )
+        averages = jax.tree.map(jnp.mean, metrics)
+        return state, evaluated | averages | {"env_steps": env_steps + evaluated["env_steps"]}
+
+    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
+        """The whole run as one function of a key; metrics are stacked over iterations."""
+        return jax.lax.scan(
+            lambda state, _: self.update(state),
+            self.init(key),
+            length=self.settings.num_iterations,
+        )
+
+
+def make_trpo(env: Env, settings: TrpoSettings) -> Trpo:
+    """See :class:`Trpo`.
+
+    Raises:
+        UserError: the batch cannot be shared evenly by the environments.
+    """
+    require_batches(settings)
+    return Trpo(env, settings)

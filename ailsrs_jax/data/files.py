@@ -48,8 +48,12 @@ def require_writable(path: Path) -> None:
         raise UserError(f"cannot write {path}")
 
 
-def read_npz(path: Path, fields: tuple[str, ...], what: str) -> dict[str, np.ndarray]:
-    """Read the arrays ``fields`` of a ``.npz`` file that should hold ``what``.
+def read_npz(
+    path: Path, fields: tuple[str, ...], what: str, optional: tuple[str, ...] = ()
+) -> dict[str, np.ndarray]:
+    """Read the arrays ``fields``, and those of ``optional`` that are there, of a ``.npz`` file.
+
+    Messages say that it should be a file of ``what``.
 
     Raises:
         UserError: it is missing, damaged, pickled, or lacks a field.
@@ -62,7 +66,8 @@ def read_npz(path: Path, fields: tuple[str, ...], what: str) -> dict[str, np.nda
             missing = [name for name in fields if name not in archive.files]
             if missing:
                 raise UserError(f"{path} has no {', '.join(missing)}: not a file of {what}")
-            return {name: archive[name] for name in fields}
+            present = [name for name in optional if name in archive.files]
+            return {name: archive[name] for name in (*fields, *present)}
     except UserError:
         raise
     except FileNotFoundError:

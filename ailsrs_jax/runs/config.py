@@ -7,9 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ailsrs_jax.data.demonstrations import FIELDS, Demonstrations
+from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
@@ -78,7 +76,6 @@ def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:
 def content_hash(demonstrations: Demonstrations) -> str:
     """SHA-256 of what the demonstrations hold, whatever file they came from."""
     digest = hashlib.sha256()
-    for name in FIELDS:
-        array = np.asarray(getattr(demonstrations, name))
+    for name, array in demonstrations.fields().items():
         digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
     return digest.hexdigest()

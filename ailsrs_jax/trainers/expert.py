@@ -8,6 +8,7 @@ from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.errors import UserError
 
 
 class Expert(struct.PyTreeNode):
@@ -18,6 +19,7 @@ class Expert(struct.PyTreeNode):
     statistics: RunningStatistics  # of the expert's observations, the fixed scale of the inputs
     distance_features: jax.Array  # (m, n + p + 1), drawn once
     distance_spread: jax.Array  # () mean distance among them
+    stride: int = struct.field(pytree_node=False)  # environment steps between inputs
 
     def discriminator_inputs(self, observations: jax.Array, actions: jax.Array) -> jax.Array:
         """See :func:`discriminator_inputs`."""
@@ -34,7 +36,7 @@ class Expert(struct.PyTreeNode):
             lengths: ``(E,)``.
             episode_length: their time limit.
         """
-        horizon = distance_horizon(self.inputs, episode_length)
+        horizon = self.stride * distance_horizon(self.inputs, self.stride, episode_length)
         num_samples = len(self.distance_features)
         features = distance_features(key, inputs, lengths, horizon, num_samples)
         return energy_distance(features, self.distance_features, self.distance_spread)
@@ -43,7 +45,13 @@ class Expert(struct.PyTreeNode):
 def make_expert(
     demonstrations: Demonstrations, episode_length: int, num_distance_samples: int
 ) -> Expert:
-    """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps."""
+    """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
+
+    Raises:
+        UserError: they hold no actions, or subsampling left none of so short an episode.
+    """
+    if demonstrations.actions is None:
+        raise UserError("the demonstrations hold no actions, which the discriminator compares")
     observations, actions, lengths, alive = map(
         jnp.asarray,
         (
@@ -55,15 +63,27 @@ def make_expert(
     )
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
     inputs = discriminator_inputs(statistics, observations, actions)
-    horizon = distance_horizon(inputs, episode_length)
+    stride = demonstrations.stride
+    horizon = distance_horizon(inputs, stride, episode_length)
+    if horizon < 1:
+        raise UserError(
+            f"of the demonstrations only every {stride}th step is kept: episode_length must be at "
+            f"least that, not {episode_length}"
+        )
     features = distance_features(jax.random.key(0), inputs, lengths, horizon, num_distance_samples)
-    return Expert(inputs, lengths, statistics, features, mean_distance(features, features))
+    spread = mean_distance(features, features)
+    return Expert(inputs, lengths, statistics, features, spread, stride)
 
 
-def distance_horizon(expert_inputs: jax.Array, episode_length: int) -> int:
-    """Steps of an episode that are compared."""
+def distance_horizon(expert_inputs: jax.Array, stride: int, episode_length: int) -> int:
+    """How many of the expert's inputs are compared, each with ``stride`` steps of the policy.
+
+    Subsampled from a random offset, an input is that of a moment drawn uniformly from ``stride``
+    steps; so, of whole blocks of them, as many moments of an episode are seen alive, and at the
+    same times, as of one that is not subsampled.
+    """
     # Beyond the demonstrations' own time limit nobody knows what the expert would have done.
-    return min(episode_length, expert_inputs.shape[1])
+    return min(episode_length // stride, expert_inputs.shape[1])
 
 
 def discriminator_inputs(

@@ -23,8 +23,9 @@ class RunConfig:
     physics: str  # the engine, never "auto"
     seeds: tuple[int, ...]
     num_trajectories: int
-    demonstrations: str  # a path, or which expert they are of
-    demonstrations_sha256: str
+    demonstrations: str  # where they are from, or which expert they are of
+    demonstrations_sha256: str  # of what is trained on
+    subsample: int  # only every k-th of their steps is trained on
     preset: str
     settings: AilsrsSettings
     algorithm: str = "ailsrs"

@@ -7,6 +7,9 @@ if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
     from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
+    from ailsrs_jax.data.imitation_datasets import load_imitation as load_imitation
+    from ailsrs_jax.data.minari_datasets import load_minari as load_minari
+    from ailsrs_jax.data.minari_datasets import save_minari as save_minari
     from ailsrs_jax.data.policies import SavedLinearPolicy as SavedLinearPolicy
     from ailsrs_jax.data.policies import SavedMlpPolicy as SavedMlpPolicy
     from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.envs.registry import make_env as make_env
     from ailsrs_jax.errors import UserError as UserError
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
+    from ailsrs_jax.runs.demonstrate import record as record
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
     from ailsrs_jax.runs.expert import train_expert as train_expert
     from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
@@ -61,6 +65,8 @@ _HOMES = {
     "demonstrate": "runs.demonstrate",
     "evaluate": "runs.evaluation",
     "load_demonstrations": "data.demonstrations",
+    "load_imitation": "data.imitation_datasets",
+    "load_minari": "data.minari_datasets",
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
     "make_ars": "trainers.ars",
@@ -69,7 +75,9 @@ _HOMES = {
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
     "preset_settings": "runs.presets",
+    "record": "runs.demonstrate",
     "save_demonstrations": "data.demonstrations",
+    "save_minari": "data.minari_datasets",
     "train": "runs.run",
     "train_expert": "runs.expert",
 }

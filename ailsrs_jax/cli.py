@@ -16,25 +16,11 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
+from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.versions import VersionError
-
-EnvName = Annotated[
-    str,
-    arg(
-        metavar="ENV",
-        help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
-    ),
-]
-AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
-PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
-# Both "--set a=1 b=2" and "--set a=1 --set b=2".
-Settings = Annotated[
-    UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="NAME=VALUE")
-]
-Seeds = UseAppendAction[tuple[tuple[int, ...], ...]]
 
 app = tyro.extras.SubcommandApp()
 console = Console()
@@ -44,8 +30,9 @@ console = Console()
 def train(
     env: Positional[EnvName],
     algorithm: AlgorithmName = "ailsrs",
-    demonstrations: Path | None = None,
+    demonstrations: Annotated[str | None, arg(metavar="SOURCE")] = None,
     num_trajectories: int | None = None,
+    subsample: Annotated[int, arg(metavar="K")] = 1,
     seeds: Seeds = (),
     iterations: int | None = None,
     preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
@@ -64,8 +51,10 @@ def train(
         env: The task.
         algorithm: ailsrs, bc (behaviour cloning) and gail imitate; ars, brs (augmented and basic
             random search) and trpo learn from the environment's reward.
-        demonstrations: A demonstration file; without it, the expert that ships with the package.
+        demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library's;
+            without it, the expert that ships with the package.
         num_trajectories: Use the first so many; by default 10 of the shipped expert, else all.
+        subsample: Train on every K-th of their steps only, from a random one on.
         seeds: Random seeds, trained together as one batched program; by default 0.
         iterations: How many iterations to run, instead of the preset's.
         preset: Settings found to work on the task, or those of the algorithm's paper.
@@ -91,7 +80,6 @@ def train(
         join_processes()
         console.quiet = not is_first_process()
 
-    assignments = _assignments(settings, iterations)
     chosen = [seed for group in seeds for seed in group] or [0]
     plan = run.make_plan(
         env,
@@ -100,8 +88,9 @@ def train(
         chosen,
         preset,
         physics,
-        assignments,
+        assignments(settings, iterations),
         rollout_batch_size,
+        subsample,
         algorithm,
     )
     config = plan.config
@@ -195,28 +184,28 @@ def evaluate(
 @app.command
 def demonstrate(
     env: Positional[EnvName],
-    output: Path,
+    output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
     num_trajectories: int = 40,
     expert: Path | None = None,
     physics: PhysicsName = "auto",
     seed: int = 0,
     action_noise: float = 0.0,
 ) -> None:
-    """Roll out an expert and write a demonstration file.
+    """Roll out an expert and write demonstrations.
 
     Example: ailsrs demonstrate hopper --num-trajectories 40 --output hopper.npz
 
     Args:
         env: The task.
-        output: The .npz file to write.
+        output: The .npz file to write, or minari:DATASET_ID for a new dataset of Minari's.
         num_trajectories: Episodes to roll out.
         expert: The expert's policy.npz; without it, the one that ships with the package.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
         seed: Of the initial states.
         action_noise: Standard deviation of Gaussian noise added to the expert's actions.
     """
-    from ailsrs_jax.data.demonstrations import save_demonstrations
     from ailsrs_jax.data.policies import expert_path, load_policy
+    from ailsrs_jax.data.sources import require_target, save_recording
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs import demonstrate
 
@@ -224,14 +213,15 @@ def demonstrate(
     policy = load_policy(expert or expert_path(env_id))
     if policy.env_id != env_id:
         raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
-    demonstrations = demonstrate.demonstrate(
+    require_target(output, env_id)
+    recording = demonstrate.record(
         policy, num_trajectories, physics=physics, seed=seed, action_noise=action_noise
     )
-    save_demonstrations(demonstrations, output)
-    returns = demonstrations.returns
+    save_recording(recording, output)
+    returns = recording.demonstrations.returns
     console.print(
         f"{num_trajectories} trajectories of {env_id}, return {returns.mean():.0f} ± "
-        f"{returns.std():.0f}, in {escape(str(output))}",
+        f"{returns.std():.0f}, in {escape(output)}",
         highlight=False,
     )
 
@@ -261,9 +251,9 @@ def expert(
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.runs.expert import search_expert
 
-    assignments = _assignments(settings, None)
+    changes = assignments(settings)
     with RunProgress(console) as progress:
-        policy = search_expert(env, seed, physics, assignments, output, progress, algorithm)
+        policy = search_expert(env, seed, physics, changes, output, progress, algorithm)
     final = evaluate(policy, physics=physics)
     console.print(
         f"return {final.mean:.0f} ± {final.std:.0f} over 100 episodes, in {escape(str(output))}",
@@ -313,16 +303,6 @@ def benchmark(
         print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))
     else:
         print_benchmark(console, rows, ratios)
-
-
-def _assignments(groups: tuple[tuple[str, ...], ...], iterations: int | None) -> dict[str, str]:
-    assignments = {} if iterations is None else {"num_iterations": str(iterations)}
-    for text in (text for group in groups for text in group):
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise UserError(f"--set {text}: write NAME=VALUE")
-        assignments[name.replace("-", "_")] = value
-    return assignments
 
 
 def main() -> None:

@@ -22,6 +22,7 @@ def point_mass() -> PointMass:
 def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty current directory; modules that are imported from it are forgotten afterwards."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
     directory = tmp_path / "work"
     directory.mkdir()
     monkeypatch.chdir(directory)

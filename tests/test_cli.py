@@ -11,6 +11,7 @@ from ailsrs_jax.cli import main
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import SavedLinearPolicy, expert_path, load_policy
 from ailsrs_jax.plotting import plot_training_curve
+from ailsrs_jax.runs.config import content_hash
 from ailsrs_jax.runs.evaluation import evaluate
 
 TINY = [
@@ -52,17 +53,33 @@ def broken_file(kind: str) -> Path:
         arrays["observations"] = np.array([[[object()]]])
     elif kind == "other_task":
         arrays["env_id"] = np.array("Walker2d-v5")
+    elif kind == "other_sizes":
+        arrays["observations"] = np.zeros((2, 5, 17))
+    elif kind == "ragged":
+        arrays["observations"] = np.array([[0.0], [0.0, 0.0]], dtype=object)
+    elif kind == "no_steps":
+        arrays |= {"observations": np.zeros((0, 5, 11)), "actions": np.zeros((0, 5, 3))}
+    elif kind == "out_of_range":
+        arrays["actions"][1, 1, 1] = 1.1
+    elif kind == "states_alone":
+        del arrays["actions"]
     if kind == "text":
         path.write_text("observations, actions\n")
     elif kind == "empty":
         path.write_bytes(b"")
     elif kind != "missing":
         np.savez(path, **arrays)
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
     return path
 
 
 @pytest.mark.parametrize(
-    "kind", ["missing", "text", "empty", "shapes", "nan", "pickled", "other_task"]
+    "kind",
+    [
+        *["missing", "text", "empty", "truncated", "shapes", "nan", "pickled", "ragged"],
+        *["no_steps", "other_task", "other_sizes", "out_of_range", "states_alone"],
+    ],
 )
 def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
     path = broken_file(kind)
@@ -96,6 +113,11 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "demonstrate hopper --seed -1 --output demonstrations.npz",
         "expert hopper --seed -1 --output expert.npz",
         "train hopper --num-trajectories 0",
+        "train swimmer --num-trajectories 1 --subsample 0",
+        "train swimmer --num-trajectories 1 --subsample 20 --set episode_length=10",
+        "train hopper --demonstrations minari:",
+        "train hopper --demonstrations empty",
+        f"train hopper --demonstrations {'x' * 300}",
         "train hopper --rollout-batch-size 0",
         "train hopper --set num_directions=3000000 --output run",
         "train hopper --distributed",
@@ -114,6 +136,8 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
         "demonstrate hoper --output demonstrations.npz",
         "demonstrate humanoid --output demonstrations.npz",
+        "demonstrate hopper --output minari:hopper",
+        "demonstrate hopper --output file/demonstrations.npz",
         "expert hoper --output expert.npz",
         "expert hopper --output file/expert.npz",
         "expert hopper --set num_top_directions=1000 --output expert.npz",
@@ -121,6 +145,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
 )
 def test_mistakes_are_one_line_and_exit_code_2(arguments: str, monkeypatch, capsys) -> None:
     Path("file").write_text("in the way")
+    Path("empty").mkdir()
     before = sorted(Path().iterdir())
     code = ailsrs(monkeypatch, *arguments.split())
     one_line_and_nothing_written(code, capsys, before)
@@ -176,6 +201,31 @@ def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
     assert demonstrations.observations.shape == (2, 1000, 8)
     arguments = ["--expert", "expert.npz", "--output", "other.npz"]
     assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
+
+
+def test_through_minari_and_subsampled(monkeypatch, capsys) -> None:
+    pytest.importorskip("minari")
+    arguments = ["--num-trajectories", 2, "--output", "minari:swimmer/ours-v0"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    assert capsys.readouterr().out.endswith("in minari:swimmer/ours-v0\n")
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 2
+    assert "swimmer/ours-v0 exists" in capsys.readouterr().err
+
+    small = [assignment.replace("length=10", "length=40") for assignment in TINY]
+    arguments = ["--demonstrations", "minari:swimmer/ours-v0", "--subsample", 20]
+    arguments += ["--iterations", 1, "--output", "run", "--set", *small]
+    assert ailsrs(monkeypatch, "train", "swimmer", *arguments) == 0
+    assert "2 demonstrations minari:swimmer/ours-v0" in capsys.readouterr().out
+    config = json.loads(Path("run/config.json").read_text())
+    assert config["subsample"] == 20
+    assert ailsrs(monkeypatch, "train", "hopper", *arguments[:2]) == 2
+    assert "is of Swimmer-v5, not of Hopper-v5" in capsys.readouterr().err
+
+    # What a file of the same episodes holds is the same, and hashed as what is trained on.
+    arguments = ["--num-trajectories", 2, "--output", "ours.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    subsampled = load_demonstrations("ours.npz").subsample(20)
+    assert config["demonstrations_sha256"] == content_hash(subsampled)
 
 
 def test_the_cache_of_demonstrations_is_used_and_done_without(monkeypatch, tmp_path) -> None:

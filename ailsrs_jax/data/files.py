@@ -51,7 +51,9 @@ def require_writable(path: Path) -> None:
 def read_npz(
     path: Path, fields: tuple[str, ...], what: str, optional: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:
-    """Read the arrays ``fields``, and ``optional`` ones, of a ``.npz`` file that holds ``what``.
+    """Read the arrays ``fields``, and those of ``optional`` that are there, of a ``.npz`` file.
+
+    Messages say that it should be a file of ``what``.
 
     Raises:
         UserError: it is missing, damaged, pickled, or lacks a field.

@@ -11,3 +11,4 @@ require_supported()
 with contextlib.redirect_stdout(io.StringIO()):
     from brax.envs.base import Env as Env
     from brax.envs.base import State as State
+    from brax.envs.base import Wrapper as Wrapper

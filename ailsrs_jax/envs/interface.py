@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, one_line
 
 
 def require_env(env: Any) -> None:
@@ -74,11 +74,6 @@ def env_sizes(env: Env) -> tuple[int, int]:
     """
     n, p = jax.eval_shape(lambda: jnp.zeros((env.observation_size, env.action_size))).shape
     return n, p
-
-
-def one_line(error: Exception) -> str:
-    """What kind of error it is, and the first line of what it says."""
-    return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
 
 
 def _changed_types(state: State, next_state: State) -> list[str]:

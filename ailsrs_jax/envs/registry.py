@@ -14,12 +14,12 @@ from ailsrs_jax.envs.ant import Ant
 from ailsrs_jax.envs.half_cheetah import HalfCheetah
 from ailsrs_jax.envs.hopper import Hopper
 from ailsrs_jax.envs.humanoid import Humanoid
-from ailsrs_jax.envs.interface import env_name, one_line, require_env
+from ailsrs_jax.envs.interface import env_name, require_env
 from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.swimmer import Swimmer
 from ailsrs_jax.envs.walker2d import Walker2d
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, one_line
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,

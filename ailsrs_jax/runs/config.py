@@ -7,9 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ailsrs_jax.data.demonstrations import FIELDS, Demonstrations
+from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.errors import UserError
 
@@ -28,8 +26,9 @@ class RunConfig:
     settings: Any  # the algorithm's dataclass
     # Where there are none, the algorithm learns from the environment's reward.
     num_trajectories: int | None
-    demonstrations: str | None  # a path, or which expert they are of
-    demonstrations_sha256: str | None
+    demonstrations: str | None  # where they are from, or which expert they are of
+    demonstrations_sha256: str | None  # of what is trained on
+    subsample: int | None  # only every k-th of their steps is
 
     def save(self, path: Path) -> None:
         """Write JSON, whole or not at all, with the versions of what computes the numbers."""
@@ -78,7 +77,6 @@ def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:
 def content_hash(demonstrations: Demonstrations) -> str:
     """SHA-256 of what the demonstrations hold, whatever file they came from."""
     digest = hashlib.sha256()
-    for name in FIELDS:
-        array = np.asarray(getattr(demonstrations, name))
+    for name, array in demonstrations.fields().items():
         digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
     return digest.hexdigest()

@@ -15,9 +15,11 @@ import numpy as np
 
 from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from ailsrs_jax.data.episodes import Recording
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.envs.late_end import LateEnd
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
@@ -92,6 +94,29 @@ def demonstrate(
         UserError: no trajectories, negative noise, an unknown task, physics that it does not have,
             a bad seed, or a policy that does not fit.
     """
+    recording = record(
+        policy,
+        num_trajectories,
+        env=env,
+        physics=physics,
+        seed=seed,
+        episode_length=episode_length,
+        action_noise=action_noise,
+    )
+    return recording.demonstrations
+
+
+def record(
+    policy: SavedPolicy,
+    num_trajectories: int,
+    *,
+    env: Env | None = None,
+    physics: str = "auto",
+    seed: int = 0,
+    episode_length: int = EPISODE_LENGTH,
+    action_noise: float = 0.0,
+) -> Recording:
+    """:func:`demonstrate`, with what only other formats ask for."""
     if min(num_trajectories, episode_length) < 1:
         raise UserError(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: at least one is "
@@ -102,14 +127,27 @@ def demonstrate(
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
     key, noise_std = jax.random.key(seed), action_noise or None
-    episodes = simulate(policy, task.env, num_trajectories, key, episode_length, noise_std)
-    return Demonstrations(
-        observations=np.asarray(episodes.observations),
-        actions=np.asarray(episodes.actions),
-        lengths=np.asarray(episodes.lengths),
-        returns=np.asarray(episodes.env_returns),
+    episodes = simulate(
+        policy, _late_end(task.env), num_trajectories, key, episode_length + 1, noise_std
+    )
+    lengths = np.asarray(episodes.lengths) - 1
+    observations, actions, env_rewards = map(
+        np.asarray, (episodes.observations, episodes.actions, episodes.env_rewards)
+    )
+    alive = np.arange(episode_length) < lengths[:, None]
+    demonstrations = Demonstrations(
+        observations=np.where(alive[..., None], observations[:, :-1], 0.0),
+        actions=np.where(alive[..., None], actions[:, :-1], 0.0),
+        lengths=lengths,
+        # In double precision, so that the order of summation, a reader's choice, does not show.
+        returns=env_rewards[:, :-1].sum(axis=1, dtype=np.float64).astype(np.float32),
         env_id=task.env_id,
     )
+    final_observations = observations[np.arange(num_trajectories), lengths]
+    return Recording(demonstrations, env_rewards[:, :-1], final_observations)
+
+
+_late_end = functools.lru_cache(maxsize=4)(LateEnd)  # so that each is compiled once
 
 
 def expert_demonstrations(env_id: str, num_trajectories: int, physics: str) -> Demonstrations:

@@ -16,7 +16,6 @@ from brax.training.agents.ppo import networks, train
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.rollout import action_range, rollout
@@ -41,6 +40,7 @@ class PpoSettings:
     clipping_epsilon: float = 0.2
     reward_scaling: float = 0.1
     hidden_size: int = 64  # tanh units in each of two layers
+    init_noise_std: float = 1.0  # of the Gaussian, in halves of the actions' range
     stop_at: float = 0.0  # return at which to stop, keeping the policy nearest to it; 0: never
 
 
@@ -49,7 +49,8 @@ class _UnitActions(Wrapper):
 
     def step(self, state: State, action: jax.Array) -> State:
         low, high = action_range(self.env)
-        return self.env.step(state, low + (action + 1.0) / 2.0 * (high - low))
+        middle, half_range = (high + low) / 2.0, (high - low) / 2.0
+        return self.env.step(state, middle + half_range * jnp.clip(action, -1.0, 1.0))
 
 
 class _StopError(Exception):
@@ -137,6 +138,11 @@ def train_ppo(
                 policy_hidden_layer_sizes=(settings.hidden_size,) * 2,
                 value_hidden_layer_sizes=(settings.hidden_size,) * 2,
                 activation=jnp.tanh,
+                distribution_type="normal",
+                noise_std_type="log",
+                init_noise_std=settings.init_noise_std,
+                mean_kernel_init_fn=jax.nn.initializers.orthogonal,
+                mean_kernel_init_kwargs={"scale": 0.01},
             ),
             policy_params_fn=evaluated,
             seed=seed,
@@ -146,20 +152,22 @@ def train_ppo(
 def _policy(env: Env, parameters: Any) -> MlpPolicy:
     """The mean of Brax's policy; its standard deviation, which depends on the state, is dropped."""
     normalizer, policy, *_ = parameters
-    layers = [policy["params"][f"hidden_{i}"] for i in range(len(policy["params"]))]
-    _, num_actions = env_sizes(env)
-    layers[-1] = jax.tree.map(lambda x: x[..., :num_actions], layers[-1])
+    network = policy["params"]
+    hidden = network["MLP_0"]
+    layers = [*(hidden[f"hidden_{i}"] for i in range(len(hidden))), network["Dense_0"]]
     low, high = action_range(env)
+    middle, half_range = (high + low) / 2.0, (high - low) / 2.0
+    weights, biases = zip(*((layer["kernel"].T, layer["bias"]) for layer in layers), strict=True)
     return MlpPolicy(
-        weights=tuple(layer["kernel"].T for layer in layers),
-        biases=tuple(layer["bias"] for layer in layers),
+        weights=(*weights[:-1], half_range[:, None] * weights[-1]),
+        biases=(*biases[:-1], middle + half_range * biases[-1]),
         mean=normalizer.mean,
         std=normalizer.std,
         action_low=low,
         action_high=high,
-        action_std=jnp.zeros(num_actions),
+        action_std=half_range * jnp.exp(network["std_logparam"]["log_value"]),
         activation="tanh",
-        squash=True,
+        squash=False,
     )
 
 

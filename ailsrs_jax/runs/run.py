@@ -9,12 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.data.demonstrations import (
-    Demonstrations,
-    load_demonstrations,
-    validated,
-)
+from ailsrs_jax.data.demonstrations import Demonstrations, validated
 from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.data.sources import open_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
@@ -35,6 +32,7 @@ from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
+from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.settings import override
 
 CHECKPOINT_EVERY = 10  # iterations
@@ -87,6 +85,7 @@ def train(
     *,
     algorithm: str = "ailsrs",
     num_trajectories: int | None = None,
+    subsample: int = 1,
     seeds: Sequence[int] = (0,),
     preset: str = "tuned",
     physics: str = "auto",
@@ -101,11 +100,13 @@ def train(
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.
-        demonstrations: a file or demonstrations in memory; without any, those of the expert that
-            ships with the package.
+        demonstrations: a ``.npz`` file, ``minari:DATASET_ID``, a directory of the imitation
+            library's, or demonstrations in memory; without any, those of the expert that ships with
+            the package.
         algorithm: ``ailsrs``, ``bc`` or ``gail``, which imitate; or ``ars``, ``brs`` or ``trpo``,
             which learn from the environment's reward.
         num_trajectories: use the first so many; by default 10 of the shipped expert, else all.
+        subsample: train on every k-th of their steps only.
         seeds: all are trained together, as one batched program.
         preset: ``tuned`` or ``paper``.
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
@@ -130,6 +131,7 @@ def train(
         physics,
         assignments,
         rollout_batch_size,
+        subsample,
         algorithm,
     )
     return execute(plan, Path(output) if output else None, resume=resume, watch=watch)
@@ -144,6 +146,7 @@ def make_plan(
     physics: str,
     assignments: dict[str, str],
     rollout_batch_size: int | None = None,
+    subsample: int = 1,
     algorithm: str = "ailsrs",
 ) -> Plan:
     """Check everything that a run is given, before anything is written or computed.
@@ -168,8 +171,10 @@ def make_plan(
             demonstrations, num_trajectories, env_id, engine
         )
         _require_fit(demonstrations, env_id, task)
+        if subsample != 1:
+            demonstrations = demonstrations.subsample(subsample)
         sha256 = content_hash(demonstrations)
-    elif demonstrations is not None or num_trajectories is not None:
+    elif demonstrations is not None or num_trajectories is not None or subsample != 1:
         raise UserError(f"{algorithm} learns from the environment's reward, not demonstrations")
     else:
         demonstrations = None
@@ -183,6 +188,7 @@ def make_plan(
         num_trajectories=demonstrations.num_trajectories if demonstrations else None,
         demonstrations=source,
         demonstrations_sha256=sha256,
+        subsample=subsample if demonstrations else None,
     )
     devices = choose_devices(task, settings.num_directions) if chosen.searches else ONE_DEVICE
     if rollout_batch_size is None:
@@ -205,7 +211,7 @@ def _find_demonstrations(
         source = "handed in"
         demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
     else:
-        source, demonstrations = str(demonstrations), load_demonstrations(demonstrations)
+        demonstrations, source = open_source(demonstrations, env_id, num_trajectories)
     if num_trajectories is not None:
         demonstrations = demonstrations.first(num_trajectories)
     return demonstrations, source
@@ -294,10 +300,23 @@ def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
 def _require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
     if demonstrations.env_id != env_id:
         raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
-    sizes = demonstrations.observations.shape[-1], demonstrations.actions.shape[-1]
     n, p = env_sizes(env)
-    if sizes != (n, p):
+    actions = demonstrations.actions
+    observed = demonstrations.observations.shape[-1]
+    acted = p if actions is None else actions.shape[-1]
+    if (observed, acted) != (n, p):
         raise UserError(
-            f"the demonstrations have {sizes[0]} observations and {sizes[1]} actions: {env_id} "
-            f"has {n} and {p}"
+            f"the demonstrations have {observed} observations and "
+            f"{'no' if actions is None else acted} actions: {env_id} has {n} and {p}"
         )
+    if actions is None:
+        return
+    low, high = map(np.asarray, action_range(env))
+    alive = np.asarray(demonstrations.alive)
+    slack = 1e-5 * (high - low)  # for rounding
+    for index, values in enumerate(np.asarray(actions)[alive].T):
+        if values.min() < low[index] - slack[index] or values.max() > high[index] + slack[index]:
+            raise UserError(
+                f"action {index} of the demonstrations goes from {values.min():g} to "
+                f"{values.max():g}: {env_id} takes {low[index]:g} to {high[index]:g}"
+            )

@@ -12,6 +12,7 @@ from flax import struct
 
 from ailsrs_jax.components import discriminator
 from ailsrs_jax.components.sampling import sample_steps
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.expert import Expert
 
@@ -55,6 +56,17 @@ class Adversary:
     network: discriminator.Discriminator = dataclasses.field(
         default_factory=discriminator.Discriminator
     )
+
+    def __post_init__(self) -> None:
+        """Raise UserError unless the demonstrations hold what the discriminator sees."""
+        sees = self.settings.discriminator_sees
+        if sees == "state_action":
+            self.expert.require_actions("discriminator_sees=state_action")
+        if sees == "state_next_state" and self.expert.stride > 1:
+            raise UserError(
+                "the demonstrations are subsampled: discriminator_sees=state_next_state needs "
+                "every step"
+            )
 
     @property
     def input_size(self) -> int:

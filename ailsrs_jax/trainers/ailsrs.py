@@ -269,11 +269,15 @@ def make_ailsrs(
     """Prepare the demonstrations for training in ``env``; see :class:`Ailsrs`.
 
     Raises:
-        UserError: the directions cannot be shared evenly, or there are too many steps to count.
+        UserError: the directions cannot be shared evenly, there are too many steps to count, or
+            the demonstrations do not hold what the settings need.
     """
     devices.require_share(settings.num_directions)
     steps = 2 * settings.num_directions * settings.episode_length * settings.memory_iterations
     if steps >= 2**31:
         raise UserError(f"{steps} steps in num_directions x memory_iterations: below 2^31 is exact")
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    Adversary(settings, expert)  # checks that the demonstrations hold what it sees
+    if settings.behavior_cloning_start:
+        expert.require_actions("behavior_cloning_start")
     return Ailsrs(env, settings, expert, devices, rollout_batch_size)

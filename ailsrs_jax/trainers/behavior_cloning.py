@@ -179,6 +179,11 @@ def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Arra
 def make_behavior_cloning(
     env: Env, demonstrations: Demonstrations, settings: BehaviorCloningSettings
 ) -> BehaviorCloning:
-    """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`."""
+    """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`.
+
+    Raises:
+        UserError: they hold no actions.
+    """
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    expert.require_actions("behaviour cloning")
     return BehaviorCloning(env, settings, expert)

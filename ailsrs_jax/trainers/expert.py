@@ -8,17 +8,24 @@ from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.errors import UserError
 
 
 class Expert(struct.PyTreeNode):
     """Demonstrations, prepared by :func:`make_expert`."""
 
     observations: jax.Array  # (E, T, n) in units of the expert's standard deviation
-    actions: jax.Array  # (E, T, p)
+    actions: jax.Array  # (E, T, p), or (E, T, 0) where they are not known
     lengths: jax.Array  # (E,) int32
     statistics: RunningStatistics  # of the expert's observations
-    distance_features: jax.Array  # (m, n + p + 1), drawn once
+    distance_features: jax.Array  # (m, n + p + 1), drawn once; without p where that is not known
     distance_spread: jax.Array  # () mean distance among them
+    stride: int = struct.field(pytree_node=False)  # environment steps between its own
+
+    def require_actions(self, what_for: str) -> None:
+        """Raise UserError unless the expert's actions are known, which ``what_for`` needs."""
+        if self.actions.shape[-1] == 0:
+            raise UserError(f"the demonstrations hold no actions, which {what_for} needs")
 
     @property
     def alive(self) -> jax.Array:
@@ -50,8 +57,9 @@ class Expert(struct.PyTreeNode):
             lengths: ``(E,)``.
             episode_length: their time limit.
         """
-        horizon = distance_horizon(self.observations, episode_length)
+        horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
         num_samples = len(self.distance_features)
+        actions = actions[..., : self.actions.shape[-1]]  # compared where the expert's are known
         points = jnp.concatenate([self.standardize(observations), actions], axis=-1)
         features = distance_features(key, points, lengths, horizon, num_samples)
         return energy_distance(features, self.distance_features, self.distance_spread)
@@ -60,23 +68,30 @@ class Expert(struct.PyTreeNode):
 def make_expert(
     demonstrations: Demonstrations, episode_length: int, num_distance_samples: int
 ) -> Expert:
-    """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps."""
-    observations, actions, lengths, alive = map(
+    """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
+
+    Raises:
+        UserError: subsampling left none of so short an episode.
+    """
+    observations, lengths, alive = map(
         jnp.asarray,
-        (
-            demonstrations.observations,
-            demonstrations.actions,
-            demonstrations.lengths,
-            demonstrations.alive,
-        ),
+        (demonstrations.observations, demonstrations.lengths, demonstrations.alive),
     )
+    actions = demonstrations.actions
+    actions = jnp.zeros((*alive.shape, 0)) if actions is None else jnp.asarray(actions)
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
     observations = standardize(statistics, observations)
     points = jnp.concatenate([observations, actions], axis=-1)
-    horizon = distance_horizon(points, episode_length)
+    stride = demonstrations.stride
+    horizon = distance_horizon(points, stride, episode_length)
+    if horizon < 1:
+        raise UserError(
+            f"of the demonstrations only every {stride}th step is kept: episode_length must be at "
+            f"least that, not {episode_length}"
+        )
     features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
     spread = mean_distance(features, features)
-    return Expert(observations, actions, lengths, statistics, features, spread)
+    return Expert(observations, actions, lengths, statistics, features, spread, stride)
 
 
 def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:
@@ -84,10 +99,15 @@ def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.A
     return (observations - statistics.mean) / statistics.std
 
 
-def distance_horizon(expert_steps: jax.Array, episode_length: int) -> int:
-    """Steps of an episode that are compared."""
+def distance_horizon(expert_steps: jax.Array, stride: int, episode_length: int) -> int:
+    """How many of the expert's steps are compared, each with ``stride`` steps of the policy.
+
+    Subsampled from a random offset, a step is that of a moment drawn uniformly from ``stride``
+    steps; so, of whole blocks of them, as many moments of an episode are seen alive, and at the
+    same times, as of one that is not subsampled.
+    """
     # Beyond the demonstrations' own time limit nobody knows what the expert would have done.
-    return min(episode_length, expert_steps.shape[1])
+    return min(episode_length // stride, expert_steps.shape[1])
 
 
 def distance_features(

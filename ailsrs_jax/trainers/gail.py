@@ -203,8 +203,12 @@ def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) 
     """Prepare the demonstrations for training in ``env``; see :class:`Gail`.
 
     Raises:
-        UserError: the batch cannot be shared evenly by the environments.
+        UserError: the batch cannot be shared evenly by the environments, or the demonstrations do
+            not hold what the settings need.
     """
     require_batches(settings)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    Adversary(settings, expert)  # checks that the demonstrations hold what it sees
+    if settings.behavior_cloning_start:
+        expert.require_actions("behavior_cloning_start")
     return Gail(env, settings, expert)

@@ -64,6 +64,8 @@ WRONG = {
     "actions hold NaN or infinity": {"actions": np.full((3, 5, 2), np.inf)},
     "observations are not floating-point numbers": {"observations": np.zeros((3, 5, 4), int)},
     "env_id is not a single string": {"env_id": np.array([1, 2])},
+    "stride is not a single integer": {"stride": np.array(0)},
+    "stride is not a single integer from 1 on": {"stride": np.array(1.5)},
     "pickled objects": {"observations": np.array([[object()]])},
 }
 
@@ -141,3 +143,99 @@ def test_damaged_bytes_are_a_value_or_one_line(data, tmp_path_factory) -> None:
         assert len(str(error).splitlines()) == 1  # noqa: PT017
     else:
         assert np.isfinite(loaded.observations).all()
+
+
+def state_only() -> Demonstrations:
+    return Demonstrations(**(arrays() | {"actions": None, "env_id": "Hopper-v5"}))
+
+
+def test_states_alone(tmp_path) -> None:
+    save_demonstrations(state_only(), tmp_path / "states.npz")
+    with np.load(tmp_path / "states.npz") as archive:
+        assert sorted(archive.files) == ["env_id", "lengths", "observations", "returns"]
+    loaded = load_demonstrations(tmp_path / "states.npz")
+    assert loaded.actions is None
+    assert loaded.first(2).actions is None
+    subsampled = loaded.subsample(2)
+    assert subsampled.actions is None
+    assert subsampled.observations.shape == (3, 2, 4)
+
+
+def test_a_stride_survives_the_disk(tmp_path) -> None:
+    subsampled = Demonstrations(**(arrays() | {"env_id": "Hopper-v5"})).subsample(2)
+    save_demonstrations(subsampled, tmp_path / "every_second.npz")
+    loaded = load_demonstrations(tmp_path / "every_second.npz")
+    assert loaded.stride == 2
+    np.testing.assert_array_equal(loaded.lengths, subsampled.lengths)
+    assert loaded.subsample(2).stride == 4
+
+
+@st.composite
+def clocks(draw: st.DrawFn) -> tuple[Demonstrations, int]:
+    """Episodes that observe their number and the time, and how many entries one is kept of."""
+    num_steps = draw(st.integers(1, 40))
+    lengths = draw(st.lists(st.integers(1, num_steps), min_size=1, max_size=8))
+    number, time = np.indices((len(lengths), num_steps), np.float32)
+    demonstrations = Demonstrations(
+        observations=np.stack([number, time], axis=-1),
+        actions=time[..., None],
+        lengths=np.array(lengths),
+        returns=np.arange(len(lengths)).astype(np.float32),
+        env_id="Clock",
+    )
+    return demonstrations, draw(st.integers(1, num_steps))
+
+
+@given(clocks(), st.integers(0, 2**31 - 1))
+def test_subsampling_keeps_every_kth_step_from_a_random_one_on(drawn, seed: int) -> None:
+    demonstrations, every = drawn
+    num_blocks = demonstrations.observations.shape[1] // every
+    subsampled = demonstrations.subsample(every, seed)
+    assert subsampled.stride == every
+    assert subsampled.observations.shape == (len(demonstrations.lengths), num_blocks, 2)
+    np.testing.assert_array_equal(subsampled.returns, demonstrations.returns)
+    np.testing.assert_array_equal(subsampled.actions[..., 0], subsampled.observations[..., 1])
+    for number, length in enumerate(demonstrations.lengths):
+        kept = subsampled.lengths[number]
+        numbers, times = subsampled.observations[number, :kept].T
+        assert (numbers == number).all()
+        assert 0 <= times[0] < min(every, length)
+        np.testing.assert_array_equal(times, times[0] + every * np.arange(kept))
+        assert times[-1] < length
+        # It stops where the next would be past the end of the episode, or at the new time limit;
+        # and who reached the old one reaches the new one.
+        assert kept == num_blocks or times[-1] + every >= length
+        if length >= num_blocks * every:
+            assert kept == num_blocks
+
+
+@given(clocks(), st.data())
+def test_fewer_subsampled_demonstrations_are_the_first_of_more(drawn, data) -> None:
+    demonstrations, every = drawn
+    number = data.draw(st.integers(1, demonstrations.num_trajectories))
+    first_then, then_first = (
+        demonstrations.first(number).subsample(every),
+        demonstrations.subsample(every).first(number),
+    )
+    np.testing.assert_array_equal(first_then.observations, then_first.observations)
+    np.testing.assert_array_equal(first_then.lengths, then_first.lengths)
+
+
+@pytest.mark.parametrize("length", [7, 12, 29, 30])
+def test_a_share_of_the_steps_is_kept_on_average(length: int) -> None:
+    num_episodes = 4000
+    demonstrations = Demonstrations(
+        observations=np.zeros((num_episodes, 30, 1), np.float32),
+        actions=None,
+        lengths=np.full(num_episodes, length),
+        returns=np.zeros(num_episodes, np.float32),
+        env_id="Clock",
+    )
+    kept = demonstrations.subsample(6).lengths
+    assert kept.mean() == pytest.approx(length / 6, abs=4 * 0.5 / np.sqrt(num_episodes))
+
+
+@pytest.mark.parametrize("every", [0, -1, 6])
+def test_subsampling_needs_a_whole_block(every: int) -> None:
+    with pytest.raises(UserError, match=r"from 1 to the time limit of the demonstrations, 5"):
+        state_only().subsample(every)

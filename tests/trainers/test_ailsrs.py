@@ -10,6 +10,7 @@ import pytest
 from ailsrs_jax.components.discriminator import Discriminator
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import (
     Ailsrs,
     AilsrsSettings,
@@ -257,3 +258,23 @@ def test_a_step_on_mjx_is_the_step_on_the_c_engine() -> None:
     assert float(jnp.abs(ours.weights).max()) > 0
     np.testing.assert_allclose(ours.statistics.mean, reference.statistics.mean, atol=1e-3)
     np.testing.assert_allclose(ours.weights, reference.weights, atol=2e-3)
+
+
+def test_imitation_from_observation(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    """Without actions the discriminator sees states; what would need actions is refused."""
+    states_alone = point_mass_expert.replace(actions=None)
+    for sees in ("state", "state_next_state"):
+        settings = dataclasses.replace(SMALL, discriminator_sees=sees)
+        trainer = make_ailsrs(point_mass, states_alone, settings)
+        _, metrics = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+        assert all(bool(jnp.isfinite(value)) for value in metrics.values())
+    with pytest.raises(UserError, match="no actions, which discriminator_sees=state_action needs"):
+        make_ailsrs(point_mass, states_alone, SMALL)
+    cloned = dataclasses.replace(SMALL, discriminator_sees="state", behavior_cloning_start=True)
+    with pytest.raises(UserError, match="no actions, which behavior_cloning_start needs"):
+        make_ailsrs(point_mass, states_alone, cloned)
+    pairs = dataclasses.replace(SMALL, discriminator_sees="state_next_state")
+    with pytest.raises(UserError, match="subsampled: discriminator_sees=state_next_state needs"):
+        make_ailsrs(point_mass, point_mass_expert.subsample(2), pairs)

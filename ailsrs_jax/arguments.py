@@ -1,0 +1,39 @@
+"""Arguments that the commands share."""
+
+from typing import Annotated
+
+from tyro.conf import UseAppendAction, arg
+
+from ailsrs_jax.errors import UserError
+
+EnvName = Annotated[
+    str,
+    arg(
+        metavar="ENV",
+        help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
+    ),
+]
+AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
+PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
+# Both "--set a=1 b=2" and "--set a=1 --set b=2".
+Settings = Annotated[
+    UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="NAME=VALUE")
+]
+Seeds = UseAppendAction[tuple[tuple[int, ...], ...]]
+
+
+def assignments(
+    groups: tuple[tuple[str, ...], ...], iterations: int | None = None
+) -> dict[str, str]:
+    """Settings to change, as text by name.
+
+    Raises:
+        UserError: one of them is not an assignment.
+    """
+    changes = {} if iterations is None else {"num_iterations": str(iterations)}
+    for text in (text for group in groups for text in group):
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UserError(f"--set {text}: write NAME=VALUE")
+        changes[name.replace("-", "_")] = value
+    return changes

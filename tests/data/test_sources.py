@@ -1,0 +1,59 @@
+"""One name for demonstrations, wherever they are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.episodes import Recording
+from ailsrs_jax.data.sources import open_source, require_target, save_recording
+from ailsrs_jax.errors import UserError
+from tests.data.test_imitation_datasets import trajectory, write
+
+
+def swimmer_recording() -> Recording:
+    rng = np.random.default_rng(0)
+    rewards = rng.normal(size=(2, 5)).astype(np.float32)
+    demonstrations = Demonstrations(
+        observations=rng.normal(size=(2, 5, 8)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (2, 5, 2)).astype(np.float32),
+        lengths=np.array([5, 5]),
+        returns=rewards.sum(axis=1),
+        env_id="Swimmer-v5",
+    )
+    return Recording(demonstrations, rewards, np.zeros((2, 8), np.float32))
+
+
+@pytest.mark.parametrize("target", ["new/ours.npz", "minari:swimmer/ours-v0"])
+def test_what_is_written_is_read(target: str, in_tmp_path: Path) -> None:
+    if target.startswith("minari:"):
+        pytest.importorskip("minari")
+    recording = swimmer_recording()
+    require_target(target, "Swimmer-v5")
+    save_recording(recording, target)
+    demonstrations, description = open_source(target, "Swimmer-v5", None)
+    assert description == target
+    for name in ("observations", "actions", "lengths", "env_id"):
+        np.testing.assert_array_equal(
+            getattr(demonstrations, name), getattr(recording.demonstrations, name)
+        )
+
+
+def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    directory = write(tmp_path / "d", trajectory(), trajectory(3, terminal=False), trajectory())
+    demonstrations, description = open_source(directory, "Swimmer-v5", None)
+    assert demonstrations.num_trajectories == 2
+    assert description == f"{directory} (1 cut off, left out)"
+    assert open_source(str(directory), "Swimmer-v5", 1).description == str(directory)
+
+
+def test_what_is_nowhere(tmp_path: Path) -> None:
+    for source, message in {
+        tmp_path / "none.npz": "no such file",
+        "x" * 300: "File name too long",
+        tmp_path: "was not written by imitation.data.serialize.save",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            open_source(source, "Swimmer-v5", None)

@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 
-.PHONY: train test lint clean
+.PHONY: train test lint peer clean
 
 train: $(VENV)/installed
 	$(VENV)/bin/ailsrs train hopper $(ARGS)
@@ -16,10 +16,20 @@ lint: $(VENV)/installed
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 
+# Optional: another package's GAIL beside ours, in an environment of its own.
+peer: $(VENV)/installed .venv-peer/installed
+	$(VENV)/bin/python experiments/peer/compare.py $(ARGS)
+
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $@
 
+.venv-peer/installed: experiments/peer/requirements.txt
+	$(PYTHON) -m venv .venv-peer
+	.venv-peer/bin/pip install --quiet --disable-pip-version-check --requirement $<
+	.venv-peer/bin/pip install --quiet --disable-pip-version-check --no-deps imitation==1.0.1
+	touch $@
+
 clean:
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-peer .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,12 +1,10 @@
 """Policies: the paper's linear one and multilayer perceptrons; and the choice of which to keep."""
 
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-
-ACTIVATIONS = {"tanh": jnp.tanh, "swish": jax.nn.swish}
 
 
 class LinearPolicy(struct.PyTreeNode):
@@ -37,8 +35,7 @@ class LinearPolicy(struct.PyTreeNode):
 class MlpPolicy(struct.PyTreeNode):
     """A multilayer perceptron of standardised observations, the mean of a Gaussian policy.
 
-    Each layer but the last is ``h ← activation(W h + b)``. A squashed policy's output is
-    ``tanh(W h + b)``, stretched to the actions' range; any other's is ``W h + b``.
+    Each layer but the last is ``h ← tanh(W h + b)``, the last ``W h + b``.
     """
 
     weights: tuple[jax.Array, ...]  # (out, in) of each layer
@@ -47,9 +44,7 @@ class MlpPolicy(struct.PyTreeNode):
     std: jax.Array  # (n,)
     action_low: jax.Array  # (p,)
     action_high: jax.Array  # (p,)
-    action_std: jax.Array  # (p,) of the Gaussian; zero of a policy that is only its mean
-    activation: Literal["tanh", "swish"] = struct.field(pytree_node=False)
-    squash: bool = struct.field(pytree_node=False)
+    action_std: jax.Array  # (p,) of the Gaussian
 
     def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
         """The action ``(p,)`` for one observation ``(n,)``, ``noise`` added, within its range."""
@@ -57,12 +52,7 @@ class MlpPolicy(struct.PyTreeNode):
 
     def unclipped(self, observation: jax.Array) -> jax.Array:
         """The mean ``(p,)`` of the Gaussian for one observation ``(n,)``."""
-        standardized = (observation - self.mean) / self.std
-        action = perceptron(self.weights, self.biases, standardized, self.activation)
-        if not self.squash:
-            return action
-        fraction = (jnp.tanh(action) + 1.0) / 2.0
-        return self.action_low + fraction * (self.action_high - self.action_low)
+        return perceptron(self.weights, self.biases, (observation - self.mean) / self.std)
 
     def clip(self, action: jax.Array) -> jax.Array:
         """The part of an action ``(..., p)`` that the actuators can do."""
@@ -73,19 +63,15 @@ Policy = LinearPolicy | MlpPolicy
 
 
 def perceptron(
-    weights: tuple[jax.Array, ...],
-    biases: tuple[jax.Array, ...],
-    inputs: jax.Array,
-    activation: Literal["tanh", "swish"] = "tanh",
+    weights: tuple[jax.Array, ...], biases: tuple[jax.Array, ...], inputs: jax.Array
 ) -> jax.Array:
     """Outputs ``(..., out)`` of a multilayer perceptron for ``inputs (..., in)``.
 
-    Each layer has ``weights (out, in)`` and ``biases (out,)``; all but the last end in
-    ``activation``.
+    Each layer has ``weights (out, in)`` and ``biases (out,)``; all but the last end in tanh.
     """
     hidden = inputs
     for layer, (matrix, bias) in enumerate(zip(weights, biases, strict=True)):
-        hidden = ACTIVATIONS[activation](hidden) if layer else hidden
+        hidden = jnp.tanh(hidden) if layer else hidden
         hidden = jnp.matmul(hidden, matrix.T, precision="highest") + bias
     return hidden
 

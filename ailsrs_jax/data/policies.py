@@ -1,7 +1,6 @@
 """Policies on disk, and as NumPy functions that drive any Gymnasium environment."""
 
 import dataclasses
-from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -11,17 +10,12 @@ import numpy as np
 from ailsrs_jax.data.files import read_npz, write_atomically
 from ailsrs_jax.errors import UserError
 
-ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "tanh": np.tanh,
-    "swish": lambda x: x / (1.0 + np.exp(-x)),
-}
-
 # The fields that any policy's file has, beside env_id; then those of a neural one.
 COMMON_ARRAYS = ("mean", "std", "action_low", "action_high")
 MAX_LAYERS = 16
 MLP_FIELDS = (
     *(f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(MAX_LAYERS)),
-    *("action_std", "activation", "squash"),
+    "action_std",
 )
 
 
@@ -103,15 +97,12 @@ class SavedLinearPolicy(SavedPolicy):
 class SavedMlpPolicy(SavedPolicy):
     """A multilayer perceptron of (observation − mean) / std, the mean of a Gaussian policy.
 
-    All layers but the last are ``h ← activation(W h + b)``. The output of the last is the action,
-    or, of a squashed policy, its hyperbolic tangent, stretched to the actions' range.
+    Each layer but the last is ``h ← tanh(W h + b)``, the last ``W h + b``.
     """
 
     weights: tuple[np.ndarray, ...]  # (out, in) of each layer
     biases: tuple[np.ndarray, ...]  # (out,)
-    action_std: np.ndarray  # (p,), zero where the policy is only its mean
-    activation: str
-    squash: bool
+    action_std: np.ndarray  # (p,) of the Gaussian
 
     def _action_std(self) -> np.ndarray:
         return self.action_std
@@ -119,10 +110,8 @@ class SavedMlpPolicy(SavedPolicy):
     def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
         hidden = standardized
         for layer, (matrix, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = matrix @ (ACTIVATIONS[self.activation](hidden) if layer else hidden) + bias
-        if not self.squash:
-            return hidden
-        return self.action_low + (np.tanh(hidden) + 1) / 2 * (self.action_high - self.action_low)
+            hidden = matrix @ (np.tanh(hidden) if layer else hidden) + bias
+        return hidden
 
     def _fields(self) -> dict[str, Any]:
         fields = super()._fields()
@@ -142,58 +131,47 @@ def load_policy(path: str | Path) -> SavedPolicy:
     is_linear = "weights" in fields
     num_layers = 1 if is_linear else sum(name.startswith("weights_") for name in fields)
     needed = [f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(num_layers)]
-    needed = ["weights"] if is_linear else [*needed, "action_std", "activation", "squash"]
+    needed = ["weights"] if is_linear else [*needed, "action_std"]
     missing = [name for name in needed if name not in fields]
     if missing or num_layers == 0:
         raise UserError(f"{path} has no {', '.join(missing) or 'weights'}: not a file of a policy")
-    layers = [fields["weights" if is_linear else f"weights_{i}"] for i in range(num_layers)]
 
     def require(condition: bool, problem: str) -> None:
         if not condition:
             raise UserError(f"{path}: {problem}")
 
+    env_id = fields.pop("env_id")
+    require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
+    layers = [fields["weights" if is_linear else f"weights_{i}"] for i in range(num_layers)]
     shapes: dict[str, tuple[int, ...]] = {}
     for layer, matrix in enumerate(layers):
         require(matrix.ndim == 2, f"weights are {matrix.shape}, not (out, in)")
         require(matrix.size > 0, f"weights are {matrix.shape}: there is nothing in them")
-        before = layers[layer - 1].shape if layer else ()
+        before = layers[layer - 1].shape if layer else matrix.shape[1:]
         require(
-            layer == 0 or before[:1] == matrix.shape[1:],
+            before[:1] == matrix.shape[1:],
             f"layers {layer - 1} and {layer} are {before} and {matrix.shape}: they do not fit",
         )
         shapes[f"biases_{layer}"] = matrix.shape[:1]
     shapes |= dict.fromkeys(("mean", "std"), layers[0].shape[1:])
     shapes |= dict.fromkeys(("action_low", "action_high", "action_std"), layers[-1].shape[:1])
-    text = {"env_id", "activation"}
     for name, array in fields.items():
-        if name in text:
-            require(array.ndim == 0 and array.dtype.kind == "U", f"{name} is not a single string")
-        elif name == "squash":
-            require(array.shape == () and array.dtype == bool, "squash is neither true nor false")
-        else:
-            shape = shapes.get(name, array.shape)
-            require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
-            require(
-                array.dtype.kind == "f" and bool(np.isfinite(array).all()),
-                f"{name} is not made of finite floating-point numbers",
-            )
+        shape = shapes.get(name, array.shape)
+        require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
+        require(
+            array.dtype.kind == "f" and bool(np.isfinite(array).all()),
+            f"{name} is not made of finite floating-point numbers",
+        )
     require(bool((fields["std"] > 0).all()), "std is not positive")
-    env_id = str(fields["env_id"])
-    common = {name: fields[name] for name in COMMON_ARRAYS}
+    common: dict[str, Any] = {name: fields[name] for name in COMMON_ARRAYS}
+    common["env_id"] = str(env_id)
     if is_linear:
-        return SavedLinearPolicy(**common, weights=fields["weights"], env_id=env_id)
-    activation = str(fields["activation"])
-    require(
-        activation in ACTIVATIONS, f"activation is '{activation}', not {' or '.join(ACTIVATIONS)}"
-    )
+        return SavedLinearPolicy(**common, weights=fields["weights"])
     return SavedMlpPolicy(
         **common,
         weights=tuple(layers),
         biases=tuple(fields[f"biases_{layer}"] for layer in range(num_layers)),
         action_std=fields["action_std"],
-        activation=activation,
-        squash=bool(fields["squash"]),
-        env_id=env_id,
     )
 
 

@@ -166,8 +166,6 @@ def _policy(env: Env, parameters: Any) -> MlpPolicy:
         action_low=low,
         action_high=high,
         action_std=half_range * jnp.exp(network["std_logparam"]["log_value"]),
-        activation="tanh",
-        squash=False,
     )
 
 

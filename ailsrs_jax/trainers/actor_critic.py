@@ -102,8 +102,6 @@ def gaussian_policy(env: Env, state: ActorCritic) -> MlpPolicy:
         action_low=low,
         action_high=high,
         action_std=jnp.exp(state.actor.log_std),
-        activation="tanh",
-        squash=False,
     )
 
 

@@ -1,16 +1,13 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.runs.policies import jax_policy, saved_policy
 
 
-@pytest.mark.parametrize("activation", ["tanh", "swish"])
-@pytest.mark.parametrize("squash", [False, True])
-def test_numpy_and_jax_agree(activation: str, squash: bool, tmp_path) -> None:
+def test_numpy_and_jax_agree(tmp_path) -> None:
     keys = jax.random.split(jax.random.key(0), 7)
     policy = MlpPolicy(
         weights=(jax.random.normal(keys[0], (16, 5)), jax.random.normal(keys[1], (3, 16))),
@@ -20,8 +17,6 @@ def test_numpy_and_jax_agree(activation: str, squash: bool, tmp_path) -> None:
         action_low=jnp.array([-1.0, -0.4, 0.0]),
         action_high=jnp.array([1.0, 0.4, 5.0]),
         action_std=jnp.array([0.1, 0.2, 0.3]),
-        activation=activation,
-        squash=squash,
     )
     saved_policy(policy, "Nowhere-v0").save(tmp_path / "policy.npz")
     saved = load_policy(tmp_path / "policy.npz")

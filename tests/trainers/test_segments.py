@@ -19,8 +19,6 @@ def some_policy(push: float, action_std: float) -> MlpPolicy:
         action_low=-jnp.ones(1),
         action_high=jnp.ones(1),
         action_std=jnp.array([action_std]),
-        activation="tanh",
-        squash=False,
     )
 
 

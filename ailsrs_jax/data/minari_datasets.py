@@ -121,7 +121,7 @@ def save_minari(recording: Recording, dataset_id: str) -> None:
                 dataset_id,
                 _buffers(recording, minari),
                 env=spec,
-                algorithm_name="linear policy of ailsrs_jax",
+                algorithm_name="ailsrs_jax",
             )
     except Exception as error:  # a full disk, or what Minari finds wrong
         shutil.rmtree(minari.storage.get_dataset_path(dataset_id), ignore_errors=True)

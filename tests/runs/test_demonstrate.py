@@ -6,6 +6,7 @@ import pytest
 
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import record, simulate
 from tests.point_mass import TIME_STEP, PointMass
 
@@ -26,6 +27,22 @@ def one_step(observation: np.ndarray, action: np.ndarray) -> np.ndarray:
     position, velocity = observation
     velocity = velocity + TIME_STEP * action[0]
     return np.array([position + TIME_STEP * velocity, velocity])
+
+
+def test_noise_is_recorded_as_applied() -> None:
+    policy, env = pushes([-0.1, -0.1]), PointMass()
+    plain, noisy, more = (
+        record(policy, number, env=env, episode_length=500, action_noise=noise).demonstrations
+        for number, noise in ((2, 0.0), (2, 0.2), (3, 0.2))
+    )
+    np.testing.assert_array_equal(noisy.actions, more.actions[:2])
+    np.testing.assert_array_equal(noisy.observations[:, 0], plain.observations[:, 0])
+    alive = np.asarray(noisy.alive)
+    added = noisy.actions[alive][:, 0] - noisy.observations[alive] @ [-0.1, -0.1]
+    np.testing.assert_allclose(added.mean(), 0.0, atol=0.03)
+    np.testing.assert_allclose(added.std(), 0.2, rtol=0.1)
+    with pytest.raises(UserError, match="action_noise is -1"):
+        record(policy, 1, env=env, action_noise=-1.0)
 
 
 @pytest.mark.parametrize(("weights", "falls"), [([-0.4, -0.6], False), ([5.0, 5.0], True)])

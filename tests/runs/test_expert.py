@@ -1,0 +1,73 @@
+"""Experts: Brax's PPO on our environments."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.envs import State
+from tests.point_mass import EPISODE_LENGTH, PointMass
+
+# Brax's own.
+pytestmark = pytest.mark.filterwarnings("ignore:jax.device_put_replicated is deprecated")
+
+SMALL: dict[str, Any] = {
+    "num_env_steps": 100_000,
+    "num_evaluations": 10,
+    "num_evaluation_episodes": 8,
+    "episode_length": EPISODE_LENGTH,
+    "num_envs": 32,
+    "unroll_length": 30,
+    "num_minibatches": 4,
+    "learning_rate": 3e-3,
+    "discounting": 0.95,
+    "gae_lambda": 0.9,
+}
+
+
+class Shifted(PointMass):
+    """The same with actions from 1 to 5, of which 3 is no force."""
+
+    action_low = np.array([1.0], np.float32)
+    action_high = np.array([5.0], np.float32)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return super().step(state, (jnp.clip(action, 1.0, 5.0) - 3.0) / 2.0)
+
+
+@pytest.mark.parametrize("env", [PointMass(), Shifted()], ids=["unit actions", "other actions"])
+def test_ppo_learns_and_its_mean_is_what_is_saved(env: PointMass, tmp_path: Path) -> None:
+    reports: list[Any] = []
+    path = tmp_path / "expert.npz"
+    expert = ail.train_expert(env, output=path, watch=reports.append, **SMALL)
+    returns = [float(report.metrics["evaluation_return"][0]) for report in reports]
+    assert len(returns) == 10
+    assert max(returns) > -20
+    evaluation = ail.evaluate(expert, 50, env=env, episode_length=EPISODE_LENGTH)
+    assert evaluation.mean > -25
+    drawn = ail.evaluate(expert, 50, env=env, episode_length=EPISODE_LENGTH, stochastic=True)
+    assert drawn.mean != evaluation.mean
+    saved = ail.load_policy(path)
+    np.testing.assert_array_equal(saved(np.zeros(2)), expert(np.zeros(2)))
+
+
+def test_it_stops_at_a_level() -> None:
+    reports: list[Any] = []
+    settings = SMALL | {"stop_at": -30.0}
+    expert = ail.train_expert(PointMass(), watch=reports.append, **settings)
+    returns = [float(report.metrics["evaluation_return"][0]) for report in reports]
+    assert all(mean < -30 for mean in returns[:-1])
+    assert returns[-1] >= -30
+    assert len(returns) < 10
+    assert isinstance(expert, ail.SavedMlpPolicy)
+
+
+def test_mistakes() -> None:
+    with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use ppo or ars"):
+        ail.train_expert(PointMass(), algorithm="sac")
+    with pytest.raises(ail.UserError, match="num_envs is 32: it must be a multiple of"):
+        ail.train_expert(PointMass(), **SMALL | {"num_minibatches": 5})

@@ -27,7 +27,7 @@ class PpoSettings:
 
     num_env_steps: int = 5_000_000
     num_evaluations: int = 50
-    num_evaluation_episodes: int = 16
+    num_evaluation_episodes: int = 32
     episode_length: int = 1000
     num_envs: int = 32
     unroll_length: int = 128  # steps of an environment in a batch
@@ -60,7 +60,9 @@ class _StopError(Exception):
 # What made the experts that ship with the package (ailsrs_jax/data/experts/README.md): to the
 # returns of the paper's experts, and Walker2d, whose expert is a weak one there, beyond.
 PPO_PRESETS = {
-    "HalfCheetah-v5": PpoSettings(num_env_steps=8_000_000, num_evaluations=160, stop_at=4632.0),
+    "HalfCheetah-v5": PpoSettings(
+        num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0
+    ),
     "Hopper-v5": PpoSettings(stop_at=3245.0, num_evaluations=100),
     "Walker2d-v5": PpoSettings(num_env_steps=3_000_000),
 }

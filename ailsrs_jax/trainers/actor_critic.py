@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +40,6 @@ class TrustRegionSettings:
     value_learning_rate: float = 1e-3
     value_epochs: int = 5
     value_batch_size: int = 128
-    standardize_with: Literal["running", "expert"] = "running"  # whose statistics
     num_evaluation_episodes: int = 4
 
 
@@ -152,6 +150,12 @@ def collect_and_improve(
     return state, episodes, steps, metrics
 
 
+def merge_states(state: ActorCritic, steps: Steps) -> ActorCritic:
+    """Merge the states met into the statistics that the next steps are standardised with."""
+    mask = jnp.ones(steps.over.shape, bool)
+    return state.replace(statistics=normalizer.update(state.statistics, steps.observations, mask))
+
+
 def improve(
     state: ActorCritic,
     steps: Steps,
@@ -189,11 +193,7 @@ def improve(
     )
     actor, metrics = _improve_actor(state.actor, observations, actions, advantages, settings)
     critic, optimizer, value_loss = _fit_critic(state, observations, targets, key, settings)
-    statistics = state.statistics
-    if settings.standardize_with == "running":
-        mask = jnp.ones(steps.over.shape, bool)
-        statistics = normalizer.update(statistics, steps.observations, mask)
-    improved = ActorCritic(actor, critic, optimizer, statistics)
+    improved = ActorCritic(actor, critic, optimizer, state.statistics)
     return improved, metrics | {"value_loss": value_loss}
 
 

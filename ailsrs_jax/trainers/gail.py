@@ -22,6 +22,7 @@ from ailsrs_jax.trainers.actor_critic import (
     evaluate,
     gaussian_policy,
     make_actor_critic,
+    merge_states,
     require_batches,
 )
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
@@ -44,6 +45,7 @@ class GailSettings(TrustRegionSettings, AdversarySettings):
     discriminator_entropy_bonus: float = 1e-3
     behavior_cloning_start: bool = False
     behavior_cloning_steps: int = 10_000  # of Adam
+    standardize_with: Literal["running", "expert"] = "running"  # whose statistics
     num_distance_samples: int = 1500  # from each side, for the choice of the policy to keep
 
 
@@ -146,6 +148,8 @@ class Gail:
             actor_critic, episodes, steps, metrics = collect_and_improve(
                 self.env, *carry, rewards, key, self.settings
             )
+            if self.settings.standardize_with == "running":
+                actor_critic = merge_states(actor_critic, steps)
             metrics = metrics | {"imitation_reward": rewards(steps).mean()}
             return (actor_critic, episodes), (metrics, self._inputs(steps))
 

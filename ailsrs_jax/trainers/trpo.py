@@ -17,6 +17,7 @@ from ailsrs_jax.trainers.actor_critic import (
     evaluate,
     gaussian_policy,
     make_actor_critic,
+    merge_states,
     require_batches,
 )
 from ailsrs_jax.trainers.segments import Episodes
@@ -67,10 +68,10 @@ class Trpo:
         def once(
             carry: tuple[ActorCritic, Episodes], key: jax.Array
         ) -> tuple[tuple[ActorCritic, Episodes], dict[str, jax.Array]]:
-            actor_critic, episodes, _, metrics = collect_and_improve(
+            actor_critic, episodes, steps, metrics = collect_and_improve(
                 self.env, *carry, lambda steps: steps.env_rewards, key, settings
             )
-            return (actor_critic, episodes), metrics
+            return (merge_states(actor_critic, steps), episodes), metrics
 
         (actor_critic, episodes), metrics = jax.lax.scan(
             once,

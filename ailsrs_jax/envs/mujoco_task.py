@@ -110,7 +110,8 @@ class MujocoTask(Env):
             obs=self._observation(after),
             reward=sum(terms.values()),
             done=self._terminated(after).astype(jnp.float32),
-            metrics=terms | self._positions(after),
+            # Beside those that Brax's wrappers have put there.
+            metrics=state.metrics | terms | self._positions(after),
         )
 
     @abstractmethod

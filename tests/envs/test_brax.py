@@ -2,7 +2,9 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax.envs.wrappers import training
+from brax.training.acting import Evaluator
 
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import make_env
@@ -22,3 +24,20 @@ def test_brax_wrappers_reset_episodes_that_end() -> None:
     assert bool(ended.all())  # of time, if nothing else
     assert bool(jnp.isfinite(state.obs).all())
     assert bool((jnp.abs(state.obs - first) < 1e-6).all(axis=1).any())
+
+
+def test_brax_trainers_evaluate_on_our_tasks() -> None:
+    """Its evaluator counts the reward among the state's metrics, which a step has to keep."""
+    env = make_env("swimmer", "mujoco")
+    evaluator = Evaluator(
+        training.wrap(env, episode_length=10),
+        lambda _: lambda observations, _: (jnp.ones((*observations.shape[:-1], 2)), {}),
+        num_eval_envs=2,
+        episode_length=10,
+        action_repeat=1,
+        key=jax.random.PRNGKey(0),
+    )
+    metrics = evaluator.run_evaluation((), training_metrics={})
+    assert metrics["eval/avg_episode_length"] == 10
+    terms = metrics["eval/episode_reward_forward"] + metrics["eval/episode_reward_ctrl"]
+    np.testing.assert_allclose(metrics["eval/episode_reward"], terms, rtol=1e-5)

@@ -237,7 +237,7 @@ def expert(
 ) -> None:
     """Train an expert on the environment's reward.
 
-    Example: ailsrs expert hopper --set stop_at=3245 --output hopper_expert.npz
+    Example: ailsrs expert hopper --output hopper_expert.npz
 
     Args:
         env: The task.

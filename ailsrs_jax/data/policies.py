@@ -1,6 +1,7 @@
 """Policies on disk, and as NumPy functions that drive any Gymnasium environment."""
 
 import dataclasses
+from abc import ABC, abstractmethod
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ MLP_FIELDS = (
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class SavedPolicy:
+class SavedPolicy(ABC):
     """``policy.npz``: what linear and neural policies have in common."""
 
     mean: np.ndarray  # (n,)
@@ -61,8 +62,9 @@ class SavedPolicy:
     def _action_std(self) -> np.ndarray:
         return np.zeros(len(self.action_low))
 
+    @abstractmethod
     def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+        """The action ``(p,)`` before it is clipped, for a standardised observation ``(n,)``."""
 
     def require_shape(self, action_size: int, observation_size: int) -> None:
         """Raise UserError unless this is a policy for so many actions and observations."""

@@ -45,7 +45,7 @@ class PpoSettings:
 
 
 class _UnitActions(Wrapper):
-    """Stretches actions from −1 to 1, which are all that Brax's policies do, to their range."""
+    """Stretches actions from −1 to 1, to which a policy's are clipped, to their range."""
 
     def step(self, state: State, action: jax.Array) -> State:
         low, high = action_range(self.env)
@@ -57,8 +57,7 @@ class _StopError(Exception):
     """Ends Brax's training from within its callback."""
 
 
-# What made the experts that ship with the package (ailsrs_jax/data/experts/README.md): to the
-# returns of the paper's experts, and Walker2d, whose expert is a weak one there, beyond.
+# To the returns of the paper's experts; and beyond on Walker2d, where the paper's is a weak one.
 PPO_PRESETS = {
     "HalfCheetah-v5": PpoSettings(
         num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0
@@ -74,7 +73,7 @@ def train_ppo(
     seed: int,
     consider: Callable[[IterationReport, MlpPolicy, float], None],
 ) -> None:
-    """Train a squashed Gaussian policy on the reward of ``env``.
+    """Train a Gaussian policy on the reward of ``env``.
 
     Args:
         env: the environment.
@@ -157,7 +156,7 @@ def train_ppo(
 
 
 def _policy(env: Env, parameters: Any) -> MlpPolicy:
-    """The mean of Brax's policy; its standard deviation, which depends on the state, is dropped."""
+    """Brax's policy, with the stretch of :class:`_UnitActions` in its last layer."""
     normalizer, policy, *_ = parameters
     network = policy["params"]
     hidden = network["MLP_0"]

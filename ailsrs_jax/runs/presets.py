@@ -55,8 +55,7 @@ _AILSRS_TUNED: Presets = {
 _CLONED_GAIL = GailSettings(behavior_cloning_start=True, standardize_with="expert")
 _GAIL_PAPER: Presets = {ELSEWHERE: GailSettings(), "HalfCheetah-v5": _CLONED_GAIL}
 
-# From nothing, two of three seeds on Hopper learn to stand still; cloned, none did. The penalty is
-# for what it is for in AILSRS.
+# Start, statistics and penalty are meant for what they are for in AILSRS.
 _GAIL_TUNED: Presets = {ELSEWHERE: dataclasses.replace(_CLONED_GAIL, gradient_penalty=10.0)}
 
 # Mania, Guy and Recht (2018), V2-t, with the survival bonus subtracted as there; the iterations are

@@ -71,10 +71,7 @@ class Adversary:
     @property
     def input_size(self) -> int:
         """Length d of an input."""
-        n, p = self.expert.observations.shape[-1], self.expert.actions.shape[-1]
-        return {"state_action": n + p, "state": n, "state_next_state": 2 * n}[
-            self.settings.discriminator_sees
-        ]
+        return int(self._expert_inputs().shape[-1])
 
     def init(self, key: jax.Array) -> AdversaryState:
         """An untrained discriminator."""

@@ -194,11 +194,7 @@ class Ailsrs:
                 "evaluation_return": evaluation.env_returns.mean(),
                 "evaluation_length": evaluation.lengths.mean(),
                 "expert_distance": self.expert.distance(
-                    distance_key,
-                    evaluation.observations,
-                    evaluation.actions,
-                    evaluation.lengths,
-                    settings.episode_length,
+                    distance_key, evaluation, settings.episode_length
                 ),
             }
         )

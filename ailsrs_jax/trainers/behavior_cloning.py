@@ -96,13 +96,7 @@ class BehaviorCloning:
         metrics = {
             "evaluation_return": evaluation.env_returns.mean(),
             "evaluation_length": evaluation.lengths.mean(),
-            "expert_distance": expert.distance(
-                distance_key,
-                evaluation.observations,
-                evaluation.actions,
-                evaluation.lengths,
-                settings.episode_length,
-            ),
+            "expert_distance": expert.distance(distance_key, evaluation, settings.episode_length),
             "training_loss": self._loss(weights, training),
             "validation_loss": validation_loss,
             "env_steps": evaluation.env_steps,

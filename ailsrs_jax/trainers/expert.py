@@ -9,6 +9,7 @@ from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.rollout import Rollout
 
 
 class Expert(struct.PyTreeNode):
@@ -43,25 +44,22 @@ class Expert(struct.PyTreeNode):
     def distance(
         self,
         key: jax.Array,
-        observations: jax.Array,
-        actions: jax.Array,
-        lengths: jax.Array,
+        episodes: Rollout,
         episode_length: int,
     ) -> jax.Array:
-        """Energy distance of episodes of at most ``episode_length`` steps to the expert's.
+        """Energy distance of ``episodes`` of at most ``episode_length`` steps to the expert's.
 
         Args:
             key: of the draws.
-            observations: ``(E, T, n)`` of the episodes.
-            actions: ``(E, T, p)``.
-            lengths: ``(E,)``.
+            episodes: the episodes; what the environment paid is not looked at.
             episode_length: their time limit.
         """
         horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
         num_samples = len(self.distance_features)
-        actions = actions[..., : self.actions.shape[-1]]  # compared where the expert's are known
-        points = jnp.concatenate([self.standardize(observations), actions], axis=-1)
-        features = distance_features(key, points, lengths, horizon, num_samples)
+        # Actions are compared where the expert's are known.
+        actions = episodes.actions[..., : self.actions.shape[-1]]
+        points = jnp.concatenate([self.standardize(episodes.observations), actions], axis=-1)
+        features = distance_features(key, points, episodes.lengths, horizon, num_samples)
         return energy_distance(features, self.distance_features, self.distance_spread)
 
 

@@ -100,11 +100,7 @@ class Gail:
         policy = gaussian_policy(self.env, state.actor_critic)
         evaluation, evaluated = evaluate(self.env, policy, evaluation_key, settings)
         evaluated["expert_distance"] = self.expert.distance(
-            distance_key,
-            evaluation.observations,
-            evaluation.actions,
-            evaluation.lengths,
-            settings.episode_length,
+            distance_key, evaluation, settings.episode_length
         )
         (actor_critic, episodes, adversary), metrics = jax.lax.scan(
             self._take_turns,

@@ -8,6 +8,7 @@ import pytest
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.expert import make_expert
+from ailsrs_jax.trainers.rollout import Rollout
 
 TIME_LIMIT = 100
 NUM_SAMPLES = 2000
@@ -36,7 +37,9 @@ def distance(demonstrations: Demonstrations, policy: Demonstrations, time_limit:
         jnp.asarray(x[:, :time_limit]) for x in (policy.observations, policy.actions)
     )
     lengths = jnp.minimum(policy.lengths, time_limit)
-    return float(expert.distance(jax.random.key(1), observations, actions, lengths, time_limit))
+    rewards = jnp.zeros(actions.shape[:2])
+    episodes = Rollout(observations, actions, rewards, lengths, lengths.sum())
+    return float(expert.distance(jax.random.key(1), episodes, time_limit))
 
 
 @pytest.mark.parametrize("time_limit", [TIME_LIMIT, 80])

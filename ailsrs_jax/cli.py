@@ -230,7 +230,7 @@ def demonstrate(
 def expert(
     env: Positional[EnvName],
     output: Path,
-    algorithm: Annotated[str, arg(metavar="ppo|ars")] = "ppo",
+    algorithm: Annotated[str, arg(metavar="ppo|es|ars")] = "ppo",
     settings: Settings = (),
     physics: PhysicsName = "auto",
     seed: int = 0,
@@ -241,8 +241,9 @@ def expert(
 
     Args:
         env: The task.
-        output: The policy file to write: the best policy met.
-        algorithm: Brax's PPO of a neural policy, or augmented random search of a linear one.
+        output: The policy file to write: the best policy met; the last one of es.
+        algorithm: Brax's PPO or evolution strategy of a neural policy, or augmented random search
+            of a linear one.
         settings: Settings to change; a wrong name lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
         seed: Random seed.

@@ -39,7 +39,7 @@ def test_floor_imports_only_what_is_below(floor: str) -> None:
 def test_trainers_do_not_import_one_another() -> None:
     shared = {
         *("__init__", "actor_critic", "adversary", "devices", "expert", "exploration"),
-        *("rollout", "segments", "settings"),
+        *("rollout", "segments", "settings", "trainer"),
     }
     trainers = {path.stem for path in (PACKAGE / "trainers").glob("*.py")} - shared
     assert trainers == {"ailsrs", "ars", "behavior_cloning", "gail", "trpo"}

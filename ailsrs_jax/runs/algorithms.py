@@ -2,9 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Protocol
-
-import jax
+from typing import Any
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -14,20 +12,8 @@ from ailsrs_jax.trainers.ars import make_ars
 from ailsrs_jax.trainers.behavior_cloning import make_behavior_cloning
 from ailsrs_jax.trainers.devices import Devices
 from ailsrs_jax.trainers.gail import make_gail
+from ailsrs_jax.trainers.trainer import Trainer
 from ailsrs_jax.trainers.trpo import make_trpo
-
-
-class Trainer(Protocol):
-    """What every algorithm is; its states have ``kept`` and ``iteration``."""
-
-    def init(self, key: jax.Array) -> Any:
-        """The state before the first iteration."""
-
-    def update(self, state: Any) -> tuple[Any, dict[str, jax.Array]]:
-        """One iteration: the next state, and scalar metrics."""
-
-    def train(self, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
-        """The whole run as one function of a key; metrics are stacked over iterations."""
 
 
 @dataclasses.dataclass(frozen=True)

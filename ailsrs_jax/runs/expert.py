@@ -1,4 +1,4 @@
-"""Training an expert on the environment's reward: linear by random search, or neural by PPO."""
+"""Training an expert on the environment's reward: a neural policy by Brax, or a linear one."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +15,7 @@ from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.ppo import PPO_PRESETS, PpoSettings, train_ppo
@@ -23,7 +24,7 @@ from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.settings import override
 
-ALGORITHMS = ("ppo", "ars")
+ALGORITHMS = ("ppo", "es", "ars")
 
 
 def train_expert(
@@ -41,18 +42,19 @@ def train_expert(
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.
-        algorithm: ``ppo``, Brax's proximal policy optimization of a multilayer perceptron; or
-            ``ars``, augmented random search of a linear policy.
+        algorithm: ``ppo``, Brax's proximal policy optimization of a multilayer perceptron;
+            ``es``, its evolution strategy; or ``ars``, augmented random search of a linear policy.
         seed: random seed.
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
-        output: the policy file to write, whenever a better policy is found; without it nothing is
-            written.
+        output: the policy file to write, whenever a better policy is found, or the last one of
+            ``es``; without it nothing is written.
         watch: called after every iteration.
-        settings: fields of :class:`~ailsrs_jax.runs.ppo.PpoSettings` or
+        settings: fields of :class:`~ailsrs_jax.runs.ppo.PpoSettings`,
+            :class:`~ailsrs_jax.runs.evolution.EvolutionSettings` or
             :class:`~ailsrs_jax.trainers.ars.ArsSettings` to change.
 
     Returns:
-        The best policy met.
+        The best policy met; the last one of ``es``.
 
     Raises:
         UserError: something handed in is wrong.
@@ -78,7 +80,7 @@ def search_expert(
     """
     set_up_jax()
     if algorithm not in ALGORITHMS:
-        raise UserError(f"unknown algorithm '{algorithm}': use {' or '.join(ALGORITHMS)}")
+        raise UserError(f"unknown algorithm '{algorithm}': use one of {', '.join(ALGORITHMS)}")
     task = open_env(env, physics)
     require_seed(seed)
     if output is not None:
@@ -86,18 +88,24 @@ def search_expert(
     best: SavedPolicy | None = None
     best_score = -np.inf
 
-    def consider(report: IterationReport, policy: Policy, score: float) -> None:
+    def offer(policy: Policy, score: float) -> None:
         nonlocal best, best_score
         if score > best_score:  # never, if it is NaN
             best, best_score = saved_policy(policy, task.env_id), score
             if output is not None:  # at once: what was found is not lost if this is interrupted
                 best.save(output)
+
+    def consider(report: IterationReport, policy: Policy, score: float) -> None:
+        offer(policy, score)
         if watch is not None:
             watch(report)
 
     if algorithm == "ppo":
         ppo_settings = override(PPO_PRESETS.get(task.env_id, PpoSettings()), assignments)
         train_ppo(task.env, ppo_settings, seed, consider)
+    elif algorithm == "es":
+        es_settings = override(EvolutionSettings(), assignments)
+        offer(*train_by_evolution(task.env, es_settings, seed, watch or (lambda _: None)))
     else:
         ars_settings = override(preset_settings(task.env_id, "tuned", "ars"), assignments)
         _search(task.env, ars_settings, seed, consider)

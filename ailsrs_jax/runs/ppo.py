@@ -10,15 +10,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import Wrapper
 from brax.envs.wrappers import training as wrappers
 from brax.training.agents.ppo import networks, train
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
-from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.tracking import IterationReport
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
+from ailsrs_jax.trainers.rollout import rollout
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,15 +42,6 @@ class PpoSettings:
     hidden_size: int = 64  # tanh units in each of two layers
     init_noise_std: float = 1.0  # of the Gaussian, in halves of the actions' range
     stop_at: float = 0.0  # return at which to stop, keeping the policy nearest to it; 0: never
-
-
-class _UnitActions(Wrapper):
-    """Stretches actions from −1 to 1, to which a policy's are clipped, to their range."""
-
-    def step(self, state: State, action: jax.Array) -> State:
-        low, high = action_range(self.env)
-        middle, half_range = (high + low) / 2.0, (high - low) / 2.0
-        return self.env.step(state, middle + half_range * jnp.clip(action, -1.0, 1.0))
 
 
 class _StopError(Exception):
@@ -119,7 +110,7 @@ def train_ppo(
 
     with contextlib.suppress(_StopError):
         train.train(
-            environment=_UnitActions(env),
+            environment=UnitActions(env),
             wrap_env_fn=wrappers.wrap,
             max_devices_per_host=1,
             num_timesteps=settings.num_env_steps,
@@ -156,23 +147,11 @@ def train_ppo(
 
 
 def _policy(env: Env, parameters: Any) -> MlpPolicy:
-    """Brax's policy, with the stretch of :class:`_UnitActions` in its last layer."""
     normalizer, policy, *_ = parameters
     network = policy["params"]
     hidden = network["MLP_0"]
     layers = [*(hidden[f"hidden_{i}"] for i in range(len(hidden))), network["Dense_0"]]
-    low, high = action_range(env)
-    middle, half_range = (high + low) / 2.0, (high - low) / 2.0
-    weights, biases = zip(*((layer["kernel"].T, layer["bias"]) for layer in layers), strict=True)
-    return MlpPolicy(
-        weights=(*weights[:-1], half_range[:, None] * weights[-1]),
-        biases=(*biases[:-1], middle + half_range * biases[-1]),
-        mean=normalizer.mean,
-        std=normalizer.std,
-        action_low=low,
-        action_high=high,
-        action_std=half_range * jnp.exp(network["std_logparam"]["log_value"]),
-    )
+    return unit_policy(env, normalizer, layers, jnp.exp(network["std_logparam"]["log_value"]))
 
 
 def _evaluate(env: Env, settings: PpoSettings, policy: MlpPolicy, key: jax.Array) -> Any:

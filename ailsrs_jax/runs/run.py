@@ -16,7 +16,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.algorithms import Algorithm, Trainer, find_algorithm, make_trainer
+from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm, make_trainer
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
@@ -34,6 +34,7 @@ from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.settings import override
+from ailsrs_jax.trainers.trainer import Trainer
 
 CHECKPOINT_EVERY = 10  # iterations
 NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest

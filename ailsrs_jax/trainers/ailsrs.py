@@ -20,6 +20,7 @@ from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import explore
 from ailsrs_jax.trainers.rollout import Rollout, action_range
+from ailsrs_jax.trainers.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
 
@@ -69,7 +70,7 @@ STATE_SPECS = TrainState(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Ailsrs:
+class Ailsrs(Trainer):
     """Imitates ``expert`` in ``env``, whose reward is measured but never used.
 
     Directions are shared by ``devices``, and each simulates ``rollout_batch_size`` episodes at a
@@ -94,14 +95,6 @@ class Ailsrs:
         neither the search nor the discriminator learns from them.
         """
         return self.devices.split(self._update, (STATE_SPECS, EVERYWHERE), STATE_SPECS)(state)
-
-    def train(self, key: jax.Array) -> tuple[TrainState, Metrics]:
-        """The whole run as one function of a key; metrics are stacked over iterations."""
-        return jax.lax.scan(
-            lambda state, _: self.update(state),
-            self.init(key),
-            length=self.settings.num_iterations,
-        )
 
     def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
         """The unperturbed policy, with statistics frozen as they are."""

@@ -17,6 +17,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
 from ailsrs_jax.trainers.exploration import explore
 from ailsrs_jax.trainers.rollout import action_range
+from ailsrs_jax.trainers.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +47,7 @@ class TrainState(struct.PyTreeNode):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Ars:
+class Ars(Trainer):
     """Random search of a linear policy on the reward of ``env``.
 
     ``devices`` and ``rollout_batch_size`` are as in :class:`~ailsrs_jax.trainers.ailsrs.Ailsrs`.
@@ -72,14 +73,6 @@ class Ars:
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
         """One iteration: perturb, roll out, step; then merge the states met."""
         return self.devices.split(self._update, EVERYWHERE, EVERYWHERE)(state)
-
-    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
-        """The whole run as one function of a key; metrics are stacked over iterations."""
-        return jax.lax.scan(
-            lambda state, _: self.update(state),
-            self.init(key),
-            length=self.settings.num_iterations,
-        )
 
     def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
         """The unperturbed policy, with statistics frozen as they are."""

@@ -15,6 +15,7 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +46,7 @@ class TrainState(struct.PyTreeNode):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class BehaviorCloning:
+class BehaviorCloning(Trainer):
     """Clones the ``expert``; ``env`` is only there to see how well that does.
 
     Minimises E ‖M z − a‖² over the expert's actions a and observations z, standardised with its
@@ -110,14 +111,6 @@ class BehaviorCloning:
             finished=waited | (settings.solver == "ridge"),
         )
         return state, metrics
-
-    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
-        """All iterations as one function of a key, without an early end."""
-        return jax.lax.scan(
-            lambda state, _: self.update(state),
-            self.init(key),
-            length=self.settings.num_iterations,
-        )
 
     def policy(self, weights: jax.Array) -> LinearPolicy:
         """The policy with the expert's statistics."""

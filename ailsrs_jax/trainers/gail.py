@@ -28,6 +28,7 @@ from ailsrs_jax.trainers.actor_critic import (
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.segments import Episodes, Steps
+from ailsrs_jax.trainers.trainer import Trainer
 
 CLONING_BATCH_SIZE = 128
 CLONING_LEARNING_RATE = 3e-4
@@ -61,7 +62,7 @@ class TrainState(struct.PyTreeNode):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Gail:
+class Gail(Trainer):
     """Imitates ``expert`` in ``env``, whose reward is measured but never used.
 
     Policy and value function are neural; the discriminator is that of
@@ -118,14 +119,6 @@ class Gail:
         )
         averages = jax.tree.map(jnp.mean, metrics)
         return state, evaluated | averages | {"env_steps": env_steps + evaluated["env_steps"]}
-
-    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
-        """The whole run as one function of a key; metrics are stacked over iterations."""
-        return jax.lax.scan(
-            lambda state, _: self.update(state),
-            self.init(key),
-            length=self.settings.num_iterations,
-        )
 
     @property
     def _adversary(self) -> Adversary:

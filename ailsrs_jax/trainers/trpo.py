@@ -21,6 +21,7 @@ from ailsrs_jax.trainers.actor_critic import (
     require_batches,
 )
 from ailsrs_jax.trainers.segments import Episodes
+from ailsrs_jax.trainers.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +40,7 @@ class TrainState(struct.PyTreeNode):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Trpo:
+class Trpo(Trainer):
     """Trains on the reward of ``env``."""
 
     env: Env
@@ -88,14 +89,6 @@ class Trpo:
         )
         averages = jax.tree.map(jnp.mean, metrics)
         return state, evaluated | averages | {"env_steps": env_steps + evaluated["env_steps"]}
-
-    def train(self, key: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
-        """The whole run as one function of a key; metrics are stacked over iterations."""
-        return jax.lax.scan(
-            lambda state, _: self.update(state),
-            self.init(key),
-            length=self.settings.num_iterations,
-        )
 
 
 def make_trpo(env: Env, settings: TrpoSettings) -> Trpo:

@@ -1,4 +1,4 @@
-"""Experts: Brax's PPO on our environments."""
+"""Experts: Brax's PPO and its evolution strategy on our environments."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,10 @@ from ailsrs_jax.envs import State
 from tests.point_mass import EPISODE_LENGTH, PointMass
 
 # Brax's own.
-pytestmark = pytest.mark.filterwarnings("ignore:jax.device_put_replicated is deprecated")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:jax.device_put_replicated is deprecated"),
+    pytest.mark.filterwarnings("ignore:optax.global_norm is deprecated"),
+]
 
 SMALL: dict[str, Any] = {
     "num_env_steps": 100_000,
@@ -66,8 +69,30 @@ def test_it_stops_at_a_level() -> None:
     assert isinstance(expert, ail.SavedMlpPolicy)
 
 
+@pytest.mark.parametrize("env", [PointMass(), Shifted()], ids=["unit actions", "other actions"])
+def test_evolution_learns_and_its_last_policy_is_saved(env: PointMass, tmp_path: Path) -> None:
+    reports: list[Any] = []
+    path = tmp_path / "expert.npz"
+    settings = {
+        "num_env_steps": 80_000,
+        "num_evaluations": 4,
+        "num_evaluation_episodes": 16,
+        "episode_length": EPISODE_LENGTH,
+        "hidden_size": 16,
+        "learning_rate": 0.05,
+    }
+    expert = ail.train_expert(env, algorithm="es", output=path, watch=reports.append, **settings)
+    returns = [float(report.metrics["evaluation_return"][0]) for report in reports]
+    assert returns[-1] > max(-30, returns[0])
+    evaluation = ail.evaluate(expert, 50, env=env, episode_length=EPISODE_LENGTH)
+    assert evaluation.mean == pytest.approx(returns[-1], abs=6)
+    saved = ail.load_policy(path)
+    np.testing.assert_array_equal(saved(np.zeros(2)), expert(np.zeros(2)))
+    assert not saved.is_stochastic
+
+
 def test_mistakes() -> None:
-    with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use ppo or ars"):
+    with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use one of ppo, es, ars"):
         ail.train_expert(PointMass(), algorithm="sac")
     with pytest.raises(ail.UserError, match="num_envs is 32: it must be a multiple of"):
         ail.train_expert(PointMass(), **SMALL | {"num_minibatches": 5})

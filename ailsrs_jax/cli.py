@@ -52,7 +52,8 @@ def train(
         algorithm: ailsrs, bc (behaviour cloning) and gail imitate; ars, brs (augmented and basic
             random search) and trpo learn from the environment's reward.
         demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library's;
-            without it, the expert that ships with the package.
+            without it, the expert that ships with the package; expert:paper is one of the paper's
+            return.
         num_trajectories: Use the first so many; by default 10 of the shipped expert, else all.
         subsample: Train on every K-th of their steps only, from a random one on.
         seeds: Random seeds, trained together as one batched program; by default 0.

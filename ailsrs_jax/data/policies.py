@@ -192,13 +192,18 @@ def policy_files(path: Path) -> list[Path]:
     return paths
 
 
-def expert_path(env_id: str) -> Path:
+def expert_path(env_id: str, *, of_paper: bool = False) -> Path:
     """The file of the expert that ships with the package for ``env_id``.
+
+    With ``of_paper``, the one whose return is that of the paper's, where it is another one.
 
     Raises:
         UserError: none ships for this task.
     """
-    path = Path(str(resources.files("ailsrs_jax.data"))) / "experts" / f"{env_id}.npz"
+    directory = Path(str(resources.files("ailsrs_jax.data"))) / "experts"
+    path, weaker = directory / f"{env_id}.npz", directory / f"{env_id}-paper.npz"
+    if of_paper and weaker.is_file():
+        return weaker
     if not path.is_file():
         raise UserError(
             f"no expert of {env_id} ships with the package: use --demonstrations, or make some "

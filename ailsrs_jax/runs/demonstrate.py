@@ -150,13 +150,17 @@ def record(
 _late_end = functools.lru_cache(maxsize=4)(LateEnd)  # so that each is compiled once
 
 
-def expert_demonstrations(env_id: str, num_trajectories: int, physics: str) -> Demonstrations:
+def expert_demonstrations(
+    env_id: str, num_trajectories: int, physics: str, *, of_paper: bool = False
+) -> Demonstrations:
     """Demonstrations of the expert that ships with the package, from the cache if they are there.
+
+    With ``of_paper``, of one whose return is that of the paper's.
 
     The cache's key is a hash of all that they depend on. A cache that cannot be written or read is
     done without.
     """
-    path = expert_path(env_id)
+    path = expert_path(env_id, of_paper=of_paper)
     engine, _ = choose_engine(physics)
     versions = {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}
     content = f"{num_trajectories} {engine} {jax.default_backend()} {versions}".encode()

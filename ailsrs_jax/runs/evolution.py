@@ -23,8 +23,8 @@ from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
 class EvolutionSettings:
     """Settings of :func:`train_by_evolution`; random search's names for what it shares with it."""
 
-    num_env_steps: int = 4_000_000
-    num_evaluations: int = 25
+    num_env_steps: int = 4_800_000
+    num_evaluations: int = 30
     num_evaluation_episodes: int = 8
     episode_length: int = 1000
     num_directions: int = 16

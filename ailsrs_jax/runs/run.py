@@ -38,6 +38,7 @@ from ailsrs_jax.trainers.trainer import Trainer
 
 CHECKPOINT_EVERY = 10  # iterations
 NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
+PAPER_EXPERT = "expert:paper"
 
 Watch = Callable[[IterationReport], None]
 
@@ -103,7 +104,7 @@ def train(
             Brax environment.
         demonstrations: a ``.npz`` file, ``minari:DATASET_ID``, a directory of the imitation
             library's, or demonstrations in memory; without any, those of the expert that ships with
-            the package.
+            the package, and with ``expert:paper`` of one whose return is that of the paper's.
         algorithm: ``ailsrs``, ``bc`` or ``gail``, which imitate; or ``ars``, ``brs`` or ``trpo``,
             which learn from the environment's reward.
         num_trajectories: use the first so many; by default 10 of the shipped expert, else all.
@@ -204,10 +205,11 @@ def _find_demonstrations(
     engine: str,
 ) -> tuple[Demonstrations, str]:
     """The first ``num_trajectories`` of what is asked for, and what to call it."""
-    source = "of the expert that ships with the package"
-    if demonstrations is None:
+    if demonstrations is None or demonstrations == PAPER_EXPERT:
+        source = demonstrations or "of the expert that ships with the package"
+        of_paper = demonstrations == PAPER_EXPERT
         num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
-        demonstrations = expert_demonstrations(env_id, num_trajectories, engine)
+        demonstrations = expert_demonstrations(env_id, num_trajectories, engine, of_paper=of_paper)
     elif isinstance(demonstrations, Demonstrations):
         source = "handed in"
         demonstrations = validated(vars(demonstrations), "the demonstrations handed in")

@@ -116,7 +116,14 @@ WITHOUT_EXPERT = ["Ant-v5", "Humanoid-v5"]
 @pytest.mark.parametrize("env_id", [env_id for env_id in TASKS if env_id not in WITHOUT_EXPERT])
 def test_an_expert_ships_for_the_task(env_id: str) -> None:
     assert load_policy(expert_path(env_id)).env_id == env_id
-    assert expert_path(env_id).stat().st_size < 10_000
+    assert expert_path(env_id).stat().st_size < 30_000
+
+
+@pytest.mark.parametrize("env_id", ["Hopper-v5", "Walker2d-v5"])
+def test_the_papers_level_is_another_expert_only_where_ours_is_beyond_it(env_id: str) -> None:
+    of_paper = expert_path(env_id, of_paper=True)
+    assert load_policy(of_paper).env_id == env_id
+    assert (of_paper == expert_path(env_id)) == (env_id == "Hopper-v5")
 
 
 @pytest.mark.parametrize("env_id", WITHOUT_EXPERT)

@@ -104,7 +104,7 @@ def gymnasium_steps(env_id: str, num_steps: int, **flags: Any) -> Steps:
     rng, rows = np.random.default_rng(0), []
     for time in range(num_steps):
         action = np.float32(rng.uniform(-1.2, 1.2, env.action_space.shape))
-        if time % 400 >= 100 and expert and expert.weights.shape[1] == len(observation):
+        if time % 400 >= 100 and expert and len(expert.mean) == len(observation):
             action = np.float32(expert(observation) + 0.1 * action)
         qpos, qvel = np.float32(env.data.qpos), np.float32(env.data.qvel)
         set_state(env, qpos, qvel)  # body positions and forces are of an earlier state otherwise

@@ -1,0 +1,135 @@
+"""The tables that a sweep leaves, filled with made-up numbers."""
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+TASKS = {  # random and expert return
+    "HalfCheetah-v5": (-280.0, 5450.0),
+    "Hopper-v5": (18.0, 3240.0),
+    "Walker2d-v5": (2.0, 2990.0),
+    "Swimmer-v5": (0.5, 357.0),
+}
+COLUMNS = (
+    *("cell", "label", "algorithm", "env_id", "preset", "settings", "num_trajectories", "seed"),
+    *("physics", "iterations", "env_steps", "kept_iteration", "return_mean", "return_std"),
+    *("length_mean", "last_return", "mean_return_over_training", "steps_to_90"),
+    *("expert_return", "random_return", "normalized", "status"),
+)
+CURVE_COLUMNS = (
+    *("cell", "iteration", "env_steps", "evaluation_return", "evaluation_length"),
+    *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
+)
+TIMING_COLUMNS = (
+    *("cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"),
+)
+
+
+def row(
+    score: float,
+    *,
+    label: str = "AILSRS",
+    env_id: str = "Hopper-v5",
+    num_trajectories: int | str = 10,
+    seed: int = 0,
+    **changes: Any,
+) -> dict[str, Any]:
+    """A cell whose kept policy has the normalised ``score``."""
+    random, expert = TASKS[env_id]
+    algorithm = label.lower()
+    value = random + score * (expert - random)
+    return {
+        "cell": f"{algorithm}-{env_id}-{num_trajectories}-{seed}",
+        "label": label,
+        "algorithm": algorithm,
+        "env_id": env_id,
+        "preset": "tuned",
+        "settings": "",
+        "num_trajectories": num_trajectories,
+        "seed": seed,
+        "physics": "mujoco",
+        "iterations": 40,
+        "env_steps": 1_200_000,
+        "kept_iteration": 33,
+        "return_mean": value,
+        "return_std": 20.0,
+        "length_mean": 1000.0,
+        "last_return": value,
+        "mean_return_over_training": random + 0.6 * score * (expert - random),
+        "steps_to_90": 500_000 if score >= 0.9 else "",
+        "expert_return": expert,
+        "random_return": random,
+        "normalized": score,
+        "status": "done",
+    } | changes
+
+
+def curve(cell: dict[str, Any], generator: np.random.Generator) -> list[dict[str, Any]]:
+    """A learning curve that ends about where the cell's kept policy is."""
+    length = cell["iterations"]
+    at = np.arange(length)
+    rise = 1 - np.exp(-at / (length / 6))
+    reach = cell["return_mean"] - cell["random_return"]
+    returns = cell["random_return"] + reach * (rise + 0.06 * generator.standard_normal(length))
+    steps = np.linspace(cell["env_steps"] / length, cell["env_steps"], length)
+    return [
+        {"cell": cell["cell"], "iteration": i, "env_steps": int(s), "evaluation_return": r}
+        for i, s, r in zip(at, steps, returns)
+    ]
+
+
+def write_sweep(directory: Path, cells: Sequence[dict[str, Any]]) -> Path:
+    """Write the three tables of ``cells`` (see ``row``)."""
+    directory.mkdir(parents=True, exist_ok=True)
+    generator = np.random.default_rng(0)
+    done = [cell for cell in cells if cell["status"] == "done"]
+    write_table(directory / "results.csv", COLUMNS, cells)
+    curves = (point for cell in done for point in curve(cell, generator))
+    write_table(directory / "curves.csv", CURVE_COLUMNS, curves)
+    timings = (
+        {
+            "cell": cell["cell"],
+            "train_seconds": 60.0,
+            "compile_seconds": 5.0,
+            "seconds_to_90_percent": 25.0 if cell["steps_to_90"] else "",
+            "hardware": "2 CPU cores",
+        }
+        for cell in done
+    )
+    write_table(directory / "timings.csv", TIMING_COLUMNS, timings)
+    return directory
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def paper_sweep(score: Callable[[str, str, int, int], float] | None = None) -> list[dict[str, Any]]:
+    """Figure 2's grid with five seeds; ``score`` takes label, task, trajectories and seed."""
+    generator = np.random.default_rng(1)
+
+    def likely(label: str, env_id: str, number: int, _: int) -> float:
+        level = {"BC": 0.25 + 0.016 * number, "GAIL": 0.95, "AILSRS": 0.98}[label]
+        spread = {"BC": 0.09, "GAIL": 0.05, "AILSRS": 0.03}[label]
+        return level + spread * generator.standard_normal() - 0.1 * (env_id == "Walker2d-v5")
+
+    score = score or likely
+    return [
+        row(
+            score(label, env_id, number, seed),
+            label=label,
+            env_id=env_id,
+            num_trajectories=number,
+            seed=seed,
+        )
+        for label in ("BC", "GAIL", "AILSRS")
+        for env_id in TASKS
+        for number in (10, 20, 30, 40)
+        for seed in range(5)
+    ]

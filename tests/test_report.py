@@ -1,0 +1,85 @@
+import builtins
+import hashlib
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+from ailsrs_jax.report import report_sweep
+from tests.synthetic_sweep import row, write_sweep
+
+
+def small_sweep(directory: Path) -> Path:
+    """An incomplete grid: two tasks, two algorithms, a failed cell, one that has no curve."""
+    rows = [
+        row(score + 0.02 * seed, label=label, env_id=env_id, num_trajectories=number, seed=seed)
+        for label, score in (("BC", 0.5), ("AILSRS", 0.95))
+        for env_id in ("Hopper-v5", "Swimmer-v5")
+        for number in (10, 40)
+        for seed in (0, 1)
+    ]
+    rows[0].update(status="failed: it | diverged", return_mean="", normalized="")
+    del rows[3]
+    write_sweep(directory, rows)
+    curves = directory / "curves.csv"
+    lines = curves.read_text().splitlines(keepends=True)
+    curves.write_text("".join(line for line in lines if not line.startswith(rows[-1]["cell"])))
+    return directory
+
+
+def test_a_sweep_leaves_tables_and_figures(tmp_path: Path) -> None:
+    report_sweep(small_sweep(tmp_path))
+    table = (tmp_path / "table.md").read_text()
+    assert "Interquartile means over 4 conditions" in table
+    assert "| AILSRS | 8 of 8 | 0.96 [0.95, 0.97] | 0.58 [0.57, 0.58] |" in table
+    assert "| BC | 6 of 7 | 0.51 | 0.31 |" in table  # a condition with one seed: no interval
+    means = "3111 ± 46 | 3240 | 0.96 ± 0.01 | 3111 ± 46 | 0.58 ± 0.01"
+    assert f"| AILSRS | 10 | 2 of 2 | {means} | 0.50 M (2 of 2) |" in table
+    assert "| BC | 10 | 1 of 2 | 1693 | 3240 | 0.52 | 1693 | 0.31 | – (0 of 1) |" in table
+    assert "| bc-Hopper-v5-10-0 | failed: it \\| diverged |" in table
+    timings = (tmp_path / "timings.md").read_text()
+    assert "| AILSRS | Hopper-v5 | 10 | 25 s (2 of 2) | 60 s | 5 s | 2 CPU cores |" in timings
+
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    stems = ("figure_2", "figure_3_ailsrs", "figure_3_bc", "profiles", "scores")
+    assert names == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    for stem in stems:
+        image = matplotlib.image.imread(tmp_path / "figures" / f"{stem}.png")
+        # Nothing is cut off: the outermost pixels are white, and the page is not empty.
+        frame = [image[0], image[-1], image[:, 0], image[:, -1]]
+        assert all((edge[..., :3] == 1).all() for edge in frame), stem
+        assert (image[..., :3] != 1).any(), stem
+
+
+def test_figures_are_the_same_bytes_again(tmp_path: Path) -> None:
+    rows = [row(0.9, seed=seed) for seed in (0, 1)]
+    digests = []
+    for name in ("a", "b"):
+        report_sweep(write_sweep(tmp_path / name, rows))
+        files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
+        assert len(files) == 5 + 2 * 3
+        digests.append([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
+    assert digests[0] == digests[1]
+
+
+def test_nothing_done_is_only_a_table(tmp_path: Path) -> None:
+    report_sweep(write_sweep(tmp_path, [row(0, status="failed: no memory", return_mean="")]))
+    assert "failed: no memory" in (tmp_path / "table.md").read_text()
+    assert not (tmp_path / "figures").exists()
+
+
+def test_without_matplotlib_there_are_tables_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ordinary_import = builtins.__import__
+
+    def without(name: str, *arguments: object, **options: object) -> object:
+        if name == "ailsrs_jax.figures":
+            raise ImportError
+        return ordinary_import(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    report_sweep(write_sweep(tmp_path, [row(0.9)]))
+    assert capsys.readouterr().out == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
+    assert (tmp_path / "table.md").exists()
+    assert not (tmp_path / "figures").exists()

@@ -161,6 +161,10 @@ def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
 
     Filled: the kept policy, with a small dot above for each run; open: the mean over training.
     """
+    groups = [group for group in groups if scores([group])]
+    if not groups:
+        return
+    looks = {name: looks[name] for name in dict.fromkeys(group.series for group in groups)}
     tasks = list(dict.fromkeys(group.env_id for group in groups))
     columns: dict[str, list[Group]] = {
         task: [group for group in groups if group.env_id == task] for task in tasks
@@ -250,17 +254,18 @@ def _panels(titles: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
 
 
 def _draw_levels(axes: Axes, groups: Sequence[Group]) -> None:
-    """Lines at the returns of the experts and of random actions."""
-    experts = {
-        (group.num_trajectories or 0): group.values("expert_return").mean() for group in groups
-    }
-    numbers = sorted(experts)
-    if len(numbers) > 1:
-        axes.plot(numbers, [experts[number] for number in numbers], label="expert", **EXPERT)
-    else:
-        axes.axhline(experts[numbers[0]], label="expert", **EXPERT)
-    level = np.mean([group.values("random_return").mean() for group in groups])
-    axes.axhline(level, label="random", **RANDOM)
+    """Lines at the returns of random actions, and of the experts if there are any."""
+    experts = sorted(
+        (group.num_trajectories or 0, float(group.values("expert_return").mean()))
+        for group in groups
+    )
+    numbers, levels = zip(*experts)
+    if len(set(numbers)) > 1:
+        axes.plot(numbers, levels, label="expert", **EXPERT)
+    elif np.isfinite(levels[0]):
+        axes.axhline(levels[0], label="expert", **EXPERT)
+    random = np.mean([group.values("random_return").mean() for group in groups])
+    axes.axhline(random, label="random", **RANDOM)
 
 
 def _add_legend(figure: Figure, panels: Any, title: str | None = None) -> None:

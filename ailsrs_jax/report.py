@@ -64,7 +64,7 @@ def results_table(results: SweepResults) -> str:
                 _count(group),
                 f"{len(group.cells)} of {group.num_planned}",
                 plus_minus(group.values("return_mean")),
-                f"{group.values('expert_return').mean():.0f}",
+                mean(group.values("expert_return")),
                 plus_minus(group.values("normalized"), 2),
                 plus_minus(group.values("last_return")),
                 plus_minus(group.values("normalized_over_training"), 2),
@@ -146,10 +146,15 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def plus_minus(values: np.ndarray, decimals: int = 0) -> str:
     """Mean ± standard deviation over seeds."""
-    mean, std = mean_std(values)
-    if math.isnan(mean):
+    center, spread = mean_std(values)
+    if math.isnan(center):
         return "–"
-    return f"{mean:.{decimals}f}" + ("" if math.isnan(std) else f" ± {std:.{decimals}f}")
+    return f"{center:.{decimals}f}" + ("" if math.isnan(spread) else f" ± {spread:.{decimals}f}")
+
+
+def mean(values: np.ndarray) -> str:
+    """Mean over seeds."""
+    return "–" if np.isnan(values).any() else f"{values.mean():.0f}"
 
 
 def estimate(value: Estimate) -> str:

@@ -68,6 +68,16 @@ def test_nothing_done_is_only_a_table(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
+def test_returns_without_an_expert_are_still_reported(tmp_path: Path) -> None:
+    rows = [row(0.5, num_trajectories="", expert_return="", normalized="", steps_to_90="")]
+    report_sweep(write_sweep(tmp_path, rows))
+    table = (tmp_path / "table.md").read_text()
+    assert "| AILSRS | – | 1 of 1 | 1629 | – | – | 1629 | – | – (0 of 1) |" in table
+    assert "| AILSRS | 1 of 1 | – | – |" in table
+    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert drawn == {"figure_3_ailsrs"}
+
+
 def test_without_matplotlib_there_are_tables_and_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,7 +41,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         ("results.csv", ",10,0,", ",10,0.5,", "row 2: seed is '0.5', not a whole number"),
         ("results.csv", ",10,0,", ",10,,", "row 2: there is no seed"),
         ("results.csv", "-10-1,", "-10-0,", "row 3: cell ailsrs-Hopper-v5-10-0 is there twice"),
-        ("results.csv", "3240.0,18.0", "18.0,18.0", "the expert's return is that of random"),
+        ("results.csv", "3240.0,18.0", "3240.0,", "random_return of a cell that is done is ''"),
         ("curves.csv", "evaluation_return", "r", "curves.csv has no column evaluation_return"),
         ("curves.csv", ",1,", ",x,", "curves.csv, row 3: iteration is 'x', not a number"),
         ("timings.csv", "hardware", "", "timings.csv has no column hardware"),
@@ -59,6 +59,15 @@ def test_a_wrong_table_is_one_clear_line(
     with pytest.raises(UserError, match=message) as caught:
         read_results(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("expert", ["", 18.0])  # there is none; it is no better than random
+def test_without_an_expert_there_are_no_scores(tmp_path: Path, expert: object) -> None:
+    rows = [row(0.5, num_trajectories="", expert_return=expert, normalized="", steps_to_90="")]
+    (cell,) = read_results(write_sweep(tmp_path, rows)).cells
+    assert cell.done
+    assert np.isnan([cell.normalized, cell.normalized_over_training]).all()
+    assert np.isnan(cell.normalize(np.zeros(3))).all()
 
 
 @pytest.mark.parametrize("file", ["results.csv", "curves.csv", "timings.csv"])

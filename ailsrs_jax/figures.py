@@ -41,7 +41,7 @@ STYLE: dict[Any, Any] = {
     "lines.markersize": 4.5,
     "errorbar.capsize": 2,
     "pdf.fonttype": 42,  # editable, and what publishers ask for
-    "savefig.dpi": 200,
+    "savefig.dpi": 160,
 }
 # Okabe and Ito's colours, but for yellow and for black, which is the expert's. Each series has a
 # marker and a line style of its own besides, so that it survives a photocopier.

@@ -56,7 +56,7 @@ def write_text(path: Path, text: str) -> None:
 def results_table(results: SweepResults) -> str:
     """Markdown: the interquartile means over all tasks, a table per task, what failed."""
     groups = group_cells(results.cells)
-    parts = [EXPLANATION, *_aggregates(groups)]
+    parts = [EXPLANATION, *aggregates(groups)]
     for task in dict.fromkeys(group.env_id for group in groups):
         rows = [
             [
@@ -81,7 +81,8 @@ def results_table(results: SweepResults) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _aggregates(groups: Sequence[Group]) -> list[str]:
+def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
+    """Markdown: the interquartile means over all tasks, below a heading of that level."""
     common = comparable(groups)
     if not groups or not all(common.values()):
         return []
@@ -98,7 +99,8 @@ def _aggregates(groups: Sequence[Group]) -> list[str]:
         for series, mine in common.items()
     ]
     conditions = {group.condition for mine in common.values() for group in mine}
-    title = f"## Interquartile means over {len(conditions)} conditions"
+    plural = "s" * (len(conditions) > 1)
+    title = f"{'#' * level} Interquartile means over {len(conditions)} condition{plural}"
     note = (
         "Normalised returns, with the 95 % interval of a stratified bootstrap over seeds. A "
         "condition is a\ntask and a number of demonstrations; these are the ones that all have "

@@ -1,0 +1,166 @@
+"""RESULTS.md: every claim of the paper beside what the committed results of our sweeps say.
+
+usage: python -m experiments.results                              draw and write everything again
+       python -m experiments.results add NAME DIRECTORY COMMIT    first take in a sweep's results
+
+``add`` copies the tables of DIRECTORY, which ``ailsrs sweep experiments/NAME.toml`` has left, to
+experiments/results/NAME, and notes the command and the commit that the sweep was run at.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from itertools import groupby
+from pathlib import Path
+
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.report import aggregates, markdown_table, report_sweep, write_text
+from ailsrs_jax.runs.statistics import group_cells
+from ailsrs_jax.runs.sweep_results import SweepResults, read_results
+from experiments.claims import CLAIMS, UNTESTED
+from experiments.rules import Evidence, judge
+
+EXPERIMENTS = Path(__file__).parent
+RESULTS = EXPERIMENTS / "results"
+PAGE = EXPERIMENTS / "RESULTS.md"
+TABLES = ("results.csv", "curves.csv", "timings.csv")
+FIGURES = ("figure_2", "figure_3_ailsrs", "scores", "profiles")  # shown; others are beside them
+VERDICTS = ("reproduced", "partly", "not", "not yet run")
+
+INTRODUCTION = """\
+# The paper's claims, and what we find
+
+Written by `python -m experiments.results` from the tables in `experiments/results/`; not by hand.
+
+Each claim of *Adversarial Imitation Learning via Random Search* (Shin and Kim, IJCNN 2019) has a
+rule, which is code in `experiments/rules.py`. A rule is a number of comparisons: all hold,
+*reproduced*; at least half, *partly*; fewer, *not*. ✗ marks one that does not hold. While a seed is
+missing, or there are fewer than three, it is *not yet run*. Normalised returns are 0 for random
+actions and 1 for the expert. Returns are those of the kept policies, which are chosen without the
+reward, in Gymnasium's own environments; ± is the standard deviation over seeds (the paper does not
+say of what its own is), and with three seeds it is a rough one. The paper's tasks were version 2
+and its experts others, so its returns are compared as shares of the expert's.
+[docs/figures.md](../docs/figures.md) explains the figures."""
+
+
+def main() -> None:
+    """Do what the command line says."""
+    try:
+        match sys.argv[1:]:
+            case []:
+                pass
+            case ["add", name, directory, commit]:
+                add(name, Path(directory), commit)
+            case _:
+                raise UserError("usage: python -m experiments.results [add NAME DIRECTORY COMMIT]")
+        sweeps = read_all(RESULTS)
+        for name in sweeps:
+            report_sweep(RESULTS / name)
+        write_text(PAGE, page(sweeps))
+    except UserError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+
+
+def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
+    """Copy a sweep's tables to ``target``, with a note of where they come from.
+
+    Raises:
+        UserError: the tables cannot be read, or the commit has no experiments/NAME.toml.
+    """
+    read_results(source)
+    spec = f"experiments/{name}.toml"
+    full = _git("rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}")
+    if not full or _git("cat-file", "-t", f"{full}:{spec}") != "blob":
+        raise UserError(f"{commit} is no commit here that has {spec}")
+    directory = target / name
+    directory.mkdir(parents=True, exist_ok=True)
+    for table in TABLES:
+        shutil.copyfile(source / table, directory / table)
+    note = {"command": f"ailsrs sweep {spec}", "commit": full}
+    write_text(directory / "provenance.json", f"{json.dumps(note, indent=2)}\n")
+
+
+def read_all(directory: Path) -> dict[str, SweepResults]:
+    """The results in ``directory``, by the name of their sweep."""
+    found = sorted(path.parent for path in directory.glob("*/results.csv"))
+    return {path.name: read_results(path) for path in found}
+
+
+def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
+    """RESULTS.md, of the results in ``directory``."""
+    evidence = Evidence(sweeps)
+    findings = [judge(claim, evidence) for claim in CLAIMS]
+    counts = Counter(finding.verdict for finding in findings)
+    summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    parts = [INTRODUCTION, f"**{len(CLAIMS)} claims: {summary}.**", "## Where they come from"]
+    parts.append(_origins(sweeps, directory))
+    rows = zip(CLAIMS, findings, strict=True)
+    for section, mine in groupby(rows, key=lambda row: row[0].section):
+        header = ["claim", "paper", "ours", "rule", "sweep", "verdict"]
+        table = [
+            [
+                claim.text,
+                claim.paper or "no figure",
+                found.ours,
+                claim.rule,
+                f"[{claim.sweep}](#{claim.sweep})" if claim.sweep in sweeps else claim.sweep,
+                f"**{found.verdict}**",
+            ]
+            for claim, found in mine
+        ]
+        parts += [f"## {section}", markdown_table(header, table)]
+    untested = [list(item) for item in UNTESTED.items()]
+    parts += ["## Not tested", markdown_table(["claim", "why"], untested)]
+    for name, results in sweeps.items():
+        parts += [f"## {name}", *_section(name, results, directory)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
+    if not sweeps:
+        return "No results have been committed yet."
+    rows = []
+    for name, results in sweeps.items():
+        note = _provenance(directory / name / "provenance.json")
+        done = f"{len(results.done)} of {len(results.cells)}"
+        engines = dict.fromkeys(cell.physics for cell in results.cells)
+        machines = dict.fromkeys(timing.hardware for timing in results.timings.values())
+        commit = f"`{note['commit'][:12]}`"
+        row = [name, f"`{note['command']}`", done, ", ".join(engines), ", ".join(machines), commit]
+        rows.append(row)
+    header = ["sweep", "command", "cells done", "engine", "hardware", "commit"]
+    return markdown_table(header, rows)
+
+
+def _provenance(path: Path) -> dict[str, str]:
+    try:
+        note = json.loads(path.read_text())
+        return {name: str(note[name]) for name in ("command", "commit")}
+    except FileNotFoundError:
+        return {"command": "not noted", "commit": "not noted"}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} does not name a command and a commit") from error
+
+
+def _section(name: str, results: SweepResults, directory: Path) -> list[str]:
+    """The sweep's interquartile means, figures, and where its tables are."""
+    folder = f"results/{name}"
+    parts = aggregates(group_cells(results.cells), level=3)
+    drawn = [f for f in FIGURES if (directory / name / "figures" / f"{f}.png").exists()]
+    parts += [f"![{figure} of {name}]({folder}/figures/{figure}.png)" for figure in drawn]
+    links = {"all returns": "table.md", "times": "timings.md", "all figures": "figures"}
+    return [*parts, ", ".join(f"[{text}]({folder}/{path})" for text, path in links.items())]
+
+
+def _git(*arguments: str) -> str:
+    """What git prints; nothing where it refuses."""
+    command = ["git", "-C", str(EXPERIMENTS), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,427 @@
+"""The rules by which the results of sweeps confirm what the paper claims, or do not.
+
+A rule is said in words and is a function that turns results into checks. All checks hold:
+*reproduced*; at least half of them: *partly*; fewer: *not*. A check needs every seed that the sweep
+was asked for, and at least three: until then the claim is *not yet run*.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from ailsrs_jax.report import estimate, plus_minus
+from ailsrs_jax.runs.statistics import (
+    Group,
+    group_cells,
+    interquartile_mean,
+    mean_curve,
+    median_reached,
+    scores,
+    smoothed,
+)
+from ailsrs_jax.runs.sweep_results import SweepResults
+
+# The sweeps, experiments/NAME.toml.
+FIGURE_2, FIGURE_3, ABLATIONS, HARD = "paper", "curves", "ablations", "ant_humanoid"
+
+CHEETAH, HOPPER, WALKER, SWIMMER = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Swimmer-v5"
+TASKS = (CHEETAH, HOPPER, WALKER, SWIMMER)
+HARD_TASKS = ("Ant-v5", "Humanoid-v5")
+NUMBERS = (10, 20, 30, 40)
+FEWEST, MOST = NUMBERS[0], NUMBERS[-1]
+MIN_SEEDS = 3
+REACHED = 0.9  # of the way from random to the expert
+PAPER_EXPERTS = {CHEETAH: 4632.0, HOPPER: 3245.0, WALKER: 1021.0, SWIMMER: 362.0}
+
+
+class NotRunError(Exception):
+    """What a check needs has not been measured; the message says what that is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One comparison."""
+
+    where: str
+    value: str  # ours
+    holds: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """One thing that the paper says."""
+
+    section: str
+    text: str
+    paper: str  # its figure, if it gives one
+    rule: str
+    sweep: str  # whose results decide
+    checks: Callable[["Evidence"], Iterable[Check]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """What came of a claim."""
+
+    ours: str
+    verdict: str
+
+
+class Evidence:
+    """Committed results, by the name of their sweep."""
+
+    def __init__(self, results: Mapping[str, SweepResults]) -> None:
+        self._results = results
+        self._groups = {name: group_cells(each.cells) for name, each in results.items()}
+
+    def group(
+        self, label: str, task: str, number: int | None = None, sweep: str = FIGURE_2
+    ) -> Group:
+        """The seeds of a label on a task, with so many demonstrations or the most there are.
+
+        Raises:
+            NotRunError: they have not all been trained.
+        """
+        what = f"{label} on {task}" + (f" from {number}" if number else "")
+        found = [
+            group
+            for group in self._groups.get(sweep, [])
+            if (group.series, group.env_id) == (label, task)
+            and number in (None, group.num_trajectories)
+        ]
+        if not found:
+            raise NotRunError(what)
+        group = max(found, key=lambda group: group.num_trajectories or 0)
+        if len(group.cells) < max(group.num_planned, MIN_SEEDS):
+            raise NotRunError(f"{what}: {len(group.cells)} seeds")
+        return group
+
+    def seconds(self, groups: Sequence[Group], sweep: str = FIGURE_2) -> list[np.ndarray]:
+        """Wall-clock times of the seeds of each group to 90 % of the expert, NaN if never.
+
+        Raises:
+            NotRunError: they were not all taken on the same hardware.
+        """
+        timings = self._results[sweep].timings
+        names = [[cell.cell for cell in group.cells] for group in groups]
+        hardware = {timings[name].hardware for each in names for name in each if name in timings}
+        if len(hardware) != 1 or any(name not in timings for each in names for name in each):
+            raise NotRunError(f"times on {groups[0].env_id} from one kind of machine")
+        return [np.array([timings[name].seconds_to_90_percent for name in each]) for each in names]
+
+    def curve(self, group: Group, num_seeds: int, sweep: str) -> np.ndarray:
+        """The smoothed mean of the first seeds' training curves, normalised."""
+        curves = self._results[sweep].curves
+        cells = sorted(group.cells, key=lambda cell: cell.seed)[:num_seeds]
+        if len(cells) < num_seeds or any(cell.cell not in curves for cell in cells):
+            raise NotRunError(f"{num_seeds} training curves of {group.series} on {group.env_id}")
+        mean = mean_curve([curves[cell.cell] for cell in cells])
+        return cells[0].normalize(smoothed(mean.returns))
+
+
+def judge(claim: Claim, evidence: Evidence) -> Finding:
+    """Apply the claim's rule."""
+    try:
+        checks = list(claim.checks(evidence))
+    except NotRunError as error:
+        return Finding(f"needs {error}", "not yet run")
+    held = sum(check.holds for check in checks)
+    verdict = (
+        "reproduced" if held == len(checks) else "partly" if 2 * held >= len(checks) else "not"
+    )
+    shown = checks if len(checks) <= 4 else [check for check in checks if not check.holds]
+    parts = [
+        " ".join(filter(None, (check.where, check.value, "" if check.holds else "✗")))
+        for check in shown
+    ]
+    if len(checks) > 4:
+        parts.insert(0, f"{held} of {len(checks)} hold")
+    return Finding("; ".join(parts), verdict)
+
+
+def short(task: str) -> str:
+    """The task without its version."""
+    return task.partition("-")[0]
+
+
+def share(group: Group) -> float:
+    """The mean return in units of the expert's."""
+    return float(group.values("return_mean").mean() / group.values("expert_return").mean())
+
+
+def score(group: Group) -> float:
+    """The mean normalised return."""
+    return float(group.values("normalized").mean())
+
+
+def spread(group: Group) -> float:
+    """The standard deviation over seeds of the normalised return."""
+    return float(group.values("normalized").std(ddof=1))
+
+
+def largest_fall(curve: np.ndarray) -> float:
+    """How far the curve falls below an earlier high of it."""
+    return float((np.maximum.accumulate(curve) - curve).max())
+
+
+Checks = Callable[[Evidence], Iterable[Check]]
+
+
+def reaches(
+    label: str, tasks: Sequence[str], numbers: Sequence[int | None], sweep: str = FIGURE_2
+) -> Checks:
+    """The mean normalised return of the kept policies is at least 0.9."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        for task in tasks:
+            for number in numbers:
+                group = evidence.group(label, task, number, sweep)
+                value = plus_minus(group.values("normalized"), 2)
+                yield Check(_where(task, number), value, score(group) >= REACHED)
+
+    return checks
+
+
+def compared(
+    measure: Callable[[Group], float],
+    label: str,
+    other: str,
+    tasks: Sequence[str],
+    *,
+    higher: bool,
+    sweep: str = FIGURE_2,
+    numbers: Sequence[int | None] = NUMBERS,
+) -> Checks:
+    """What is measured of ``label`` is above, or below, that of ``other``."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        for task in tasks:
+            for number in numbers:
+                mine, theirs = (
+                    measure(evidence.group(name, task, number, sweep)) for name in (label, other)
+                )
+                sign = ">" if mine > theirs else "≤"
+                holds = mine > theirs if higher else mine <= theirs
+                yield Check(_where(task, number), f"{mine:.3f} {sign} {theirs:.3f}", holds)
+
+    return checks
+
+
+def cloned_to(task: str, number: int, paper_return: float) -> Checks:
+    """BC's share of the expert's return is the paper's, or on the same side of 0.9 at least."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        group = evidence.group("BC", task, number)
+        paper, ours = paper_return / PAPER_EXPERTS[task], share(group)
+        value = f"{plus_minus(group.values('return_mean'))}, {ours:.2f} of the expert"
+        yield Check("", value, abs(ours - paper) <= 0.1)
+        yield Check("", "same side of 0.9", (ours >= REACHED) == (paper >= REACHED))
+
+    return checks
+
+
+def cloning_rises(task: str) -> Checks:
+    """BC's mean return is higher with each further ten demonstrations."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        means = [evidence.group("BC", task, n).values("return_mean").mean() for n in NUMBERS]
+        for number, before, after in zip(NUMBERS[1:], means, means[1:]):
+            yield Check(f"{number}:", f"{before:.0f} → {after:.0f}", after > before)
+
+    return checks
+
+
+def curves_reach(task: str, numbers_of_seeds: Sequence[int]) -> Checks:
+    """The smoothed mean training curve gets to 0.9."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        group = evidence.group("AILSRS", task, sweep=FIGURE_3)
+        for number in numbers_of_seeds:
+            peak = evidence.curve(group, number, FIGURE_3).max()
+            yield Check(f"{number} seed{'s' * (number > 1)}:", f"{peak:.2f}", peak >= REACHED)
+
+    return checks
+
+
+def above_the_expert(label: str, task: str) -> Checks:
+    """The mean return is above the expert's, from all but the fewest demonstrations."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        for number in NUMBERS[1:]:
+            group = evidence.group(label, task, number)
+            value = f"{plus_minus(group.values('return_mean'))}, {share(group):.2f} of the expert"
+            yield Check(f"{number}:", value, share(group) > 1)
+
+    return checks
+
+
+def expert_is(task: str) -> Checks:
+    """The demonstrations' mean return is within a tenth of the paper's."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        ours = evidence.group("AILSRS", task, MOST).values("expert_return").mean()
+        paper = PAPER_EXPERTS[task]
+        yield Check("", f"{ours:.0f}", abs(ours - paper) <= 0.1 * paper)
+
+    return checks
+
+
+def within_five_percent(label: str) -> Checks:
+    """Walker2d: the mean return is within the paper's band around the expert's."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        for number in NUMBERS:
+            ours = share(evidence.group(label, WALKER, number))
+            yield Check(f"{number}:", f"{ours:.2f}", abs(ours - 1) <= 51.05 / 1021)
+
+    return checks
+
+
+def every_seed_reaches(evidence: Evidence) -> Iterable[Check]:
+    """Each seed of AILSRS gets to 0.9."""
+    for task in TASKS:
+        for number in NUMBERS:
+            worst = evidence.group("AILSRS", task, number).values("normalized").min()
+            yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
+
+
+def competitive(evidence: Evidence) -> Iterable[Check]:
+    """AILSRS's interquartile mean is not below the interval of GAIL's, nor of BC's."""
+    iqm = {
+        label: interquartile_mean(
+            scores(evidence.group(label, task, n) for task in TASKS for n in NUMBERS)
+        )
+        for label in ("AILSRS", "GAIL", "BC")
+    }
+    for label in ("GAIL", "BC"):
+        value = f"{estimate(iqm['AILSRS'])} against {estimate(iqm[label])}"
+        yield Check(f"{label}:", value, bool(iqm["AILSRS"].value >= iqm[label].low))
+
+
+def all_six(evidence: Evidence) -> Iterable[Check]:
+    """All of Gym's six locomotion tasks."""
+    yield from reaches("AILSRS", TASKS, [MOST])(evidence)
+    yield from reaches("AILSRS", HARD_TASKS, [None], HARD)(evidence)
+
+
+def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
+    """Neither Ant nor Humanoid gets to 0.9."""
+    for check in reaches("AILSRS", HARD_TASKS, [None], HARD)(evidence):
+        yield dataclasses.replace(check, holds=not check.holds)
+
+
+def few_are_enough(evidence: Evidence) -> Iterable[Check]:
+    """Ten demonstrations are as good as forty."""
+    for task in TASKS:
+        few, many = (score(evidence.group("AILSRS", task, n)) for n in (FEWEST, MOST))
+        yield Check(short(task), f"{few:.2f}, {many:.2f}", few >= many - 0.05)
+
+
+def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
+    """AILSRS is at 90 % of the expert in less wall-clock time."""
+    for task in TASKS:
+        groups = [evidence.group(label, task, FEWEST) for label in ("AILSRS", "GAIL")]
+        ours, theirs = (median_reached(times)[0] for times in evidence.seconds(groups))
+        yield Check(short(task), f"{_seconds(ours)} against {_seconds(theirs)}", ours < theirs)
+
+
+def cloning_needs_data(evidence: Evidence) -> Iterable[Check]:
+    """BC misses with ten demonstrations and does better with forty."""
+    for task in TASKS:
+        few, many = (score(evidence.group("BC", task, n)) for n in (FEWEST, MOST))
+        yield Check(short(task), f"{few:.2f}, {many:.2f}", few < REACHED and many > few)
+
+
+def cloned_start_is_faster(evidence: Evidence) -> Iterable[Check]:
+    """AILSRS from BC is at 90 % of the expert in fewer steps than from zero."""
+    for task in (HOPPER, CHEETAH):
+        cloned, zero = (
+            median_reached(evidence.group(label, task, sweep=ABLATIONS).values("steps_to_90"))[0]
+            for label in ("tuned", "from zero")
+        )
+        yield Check(short(task), f"{_steps(cloned)} against {_steps(zero)}", cloned < zero)
+
+
+def least_squares_is_steadier(evidence: Evidence) -> Iterable[Check]:
+    """Higher over training, and with a smaller fall, than with cross entropy."""
+    for task in (HOPPER, CHEETAH):
+        groups = [
+            evidence.group(label, task, sweep=ABLATIONS) for label in ("tuned", "cross entropy")
+        ]
+        over, other_over = (group.values("normalized_over_training").mean() for group in groups)
+        fall, other_fall = (
+            largest_fall(evidence.curve(group, len(group.cells), ABLATIONS)) for group in groups
+        )
+        where = short(task)
+        yield Check(where, f"over training {over:.2f} against {other_over:.2f}", over > other_over)
+        yield Check(where, f"fall {fall:.2f} against {other_fall:.2f}", fall < other_fall)
+
+
+def thirty_is_best(evidence: Evidence) -> Iterable[Check]:
+    """BC on Walker2d is at its best with thirty demonstrations."""
+    means = {n: evidence.group("BC", WALKER, n).values("return_mean").mean() for n in NUMBERS}
+    best = max(means, key=lambda number: means[number])
+    yield Check("best with", str(best), best == 30)
+
+
+def swimmer_is_easiest_to_clone(evidence: Evidence) -> Iterable[Check]:
+    """With ten demonstrations BC is nearest to the expert on Swimmer."""
+    shares = {task: share(evidence.group("BC", task, FEWEST)) for task in TASKS}
+    for task in TASKS[:3]:
+        value = f"{shares[SWIMMER]:.2f} against {shares[task]:.2f}"
+        yield Check(short(task), value, shares[SWIMMER] > shares[task])
+
+
+def two_tasks_are_easier(evidence: Evidence) -> Iterable[Check]:
+    """Each algorithm scores higher on Walker2d and Swimmer than on HalfCheetah and Hopper."""
+    for label in ("BC", "GAIL", "AILSRS"):
+        easy, hard = (
+            np.mean([score(evidence.group(label, task, n)) for task in tasks for n in NUMBERS])
+            for tasks in ((WALKER, SWIMMER), (CHEETAH, HOPPER))
+        )
+        yield Check(label, f"{easy:.2f} against {hard:.2f}", bool(easy > hard))
+
+
+def hopper_is_steadier_to_clone(evidence: Evidence) -> Iterable[Check]:
+    """BC's spread over seeds is smaller on Hopper than on HalfCheetah."""
+    for number in NUMBERS:
+        ours, other = (spread(evidence.group("BC", task, number)) for task in (HOPPER, CHEETAH))
+        yield Check(f"{number}:", f"{ours:.3f} against {other:.3f}", ours < other)
+
+
+def swimmer_is_steady(evidence: Evidence) -> Iterable[Check]:
+    """On Swimmer the spread over seeds is at most the paper's share of the expert's return."""
+    for label in ("GAIL", "AILSRS"):
+        for number in NUMBERS:
+            group = evidence.group(label, SWIMMER, number)
+            level = group.values("expert_return").mean() / PAPER_EXPERTS[SWIMMER]
+            std = group.values("return_mean").std(ddof=1)
+            yield Check(f"{label} {number}:", f"{std:.1f}", bool(std <= 4.51 * level))
+
+
+def more_seeds_are_less_steady(evidence: Evidence) -> Iterable[Check]:
+    """HalfCheetah's curve falls further with five seeds than with one."""
+    group = evidence.group("AILSRS", CHEETAH, sweep=FIGURE_3)
+    one, five = (largest_fall(evidence.curve(group, number, FIGURE_3)) for number in (1, 5))
+    yield Check("largest fall", f"{one:.2f} with one, {five:.2f} with five", five > one)
+
+
+def five_seeds_miss_on_hopper(evidence: Evidence) -> Iterable[Check]:
+    """Hopper's curve of five seeds peaks below those of one and three, and below the expert."""
+    group = evidence.group("AILSRS", HOPPER, sweep=FIGURE_3)
+    one, three, five = (evidence.curve(group, n, FIGURE_3).max() for n in (1, 3, 5))
+    value = f"{one:.2f}, {three:.2f}, {five:.2f}"
+    yield Check("peaks of 1, 3, 5 seeds:", value, bool(five < min(one, three, 1)))
+
+
+def _where(task: str, number: int | None) -> str:
+    return f"{short(task)} {number}:" if number else f"{short(task)}:"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.0f} s" if np.isfinite(value) else "never"
+
+
+def _steps(value: float) -> str:
+    return f"{value / 1e6:.2f} M" if np.isfinite(value) else "never"

@@ -1,6 +1,7 @@
 """The figures of a sweep, as PNG and PDF: drawn from its tables alone."""
 
 import itertools
+import re
 import textwrap
 from collections.abc import Sequence
 from functools import partial
@@ -150,9 +151,9 @@ def draw_training_curves(results: SweepResults, groups: Sequence[Group], directo
                     label=f"{number} seed{'s' * (number > 1)}",
                 )
             trajectories = chosen[task].num_trajectories
-            given = f", {trajectories} demonstrations" if trajectories else ""
-            axes.set(title=f"{task}{given}", xlabel="iteration", ylabel="return")
-        _add_legend(figure, panels.values(), title=f"{name} (thin: raw, thick: smoothed)")
+            given = f" ({trajectories} demonstrations)" if trajectories else ""
+            axes.set(title=task, xlabel=f"iteration{given}", ylabel="return")
+        _add_legend(figure, panels.values(), title=f"{name} · thin raw, thick smoothed")
         _save(figure, directory / f"figure_3_{_slug(name)}")
 
 
@@ -172,8 +173,9 @@ def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
     common = comparable(groups)
     if len(tasks) > 1 and all(common.values()):
         columns["all tasks"] = [group for mine in common.values() for group in mine]
-    height = 0.9 + 0.34 * len(looks)
-    figure = Figure((WIDTH, height), layout="constrained")
+    names = [textwrap.fill(name, 24) for name in looks]
+    row_height = max(0.34, *(0.15 * (name.count("\n") + 1) for name in names))
+    figure = Figure((WIDTH, 0.9 + row_height * len(names)), layout="constrained")
     all_axes = figure.subplots(1, len(columns), sharey=True, squeeze=False)[0]
     for axes, (title, mine) in zip(all_axes, columns.items(), strict=True):
         axes.axvline(0, **RANDOM)
@@ -201,9 +203,9 @@ def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
                 if measure == "normalized":
                     runs = np.concatenate(strata)
                     axes.plot(runs, [row - 0.27] * len(runs), ".", color="0.5", markersize=2)
-        axes.set(title=title)
+        axes.set_title(title, fontsize=8.5 if len(columns) <= 5 else 7)
         axes.locator_params(axis="x", nbins=3)
-    all_axes[0].set_yticks(range(len(looks)), [textwrap.fill(name, 24) for name in looks])
+    all_axes[0].set_yticks(range(len(names)), names)
     all_axes[0].set_ylim(len(looks) - 0.5, -0.5)
     figure.supxlabel(
         "normalised return (0 random, 1 expert): filled the kept policy, open the mean over "
@@ -288,7 +290,7 @@ def _add_legend(figure: Figure, panels: Any, title: str | None = None) -> None:
 
 
 def _slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name.lower())
+    return re.sub(r"\W+", "_", name.lower()).strip("_")
 
 
 def _save(figure: Figure, path: Path) -> None:

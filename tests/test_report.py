@@ -10,11 +10,11 @@ from tests.synthetic_sweep import row, write_sweep
 
 
 def small_sweep(directory: Path) -> Path:
-    """An incomplete grid: two tasks, two algorithms, a failed cell, one that has no curve."""
+    """An incomplete grid: five tasks, two algorithms, a failed cell, one that has no curve."""
     rows = [
         row(score + 0.02 * seed, label=label, env_id=env_id, num_trajectories=number, seed=seed)
         for label, score in (("BC", 0.5), ("AILSRS", 0.95))
-        for env_id in ("Hopper-v5", "Swimmer-v5")
+        for env_id in ("Hopper-v5", "Swimmer-v5", "HalfCheetah-v5", "Walker2d-v5", "Humanoid-v5")
         for number in (10, 40)
         for seed in (0, 1)
     ]
@@ -30,9 +30,9 @@ def small_sweep(directory: Path) -> Path:
 def test_a_sweep_leaves_tables_and_figures(tmp_path: Path) -> None:
     report_sweep(small_sweep(tmp_path))
     table = (tmp_path / "table.md").read_text()
-    assert "Interquartile means over 4 conditions" in table
-    assert "| AILSRS | 8 of 8 | 0.96 [0.95, 0.97] | 0.58 [0.57, 0.58] |" in table
-    assert "| BC | 6 of 7 | 0.51 | 0.31 |" in table  # a condition with one seed: no interval
+    assert "Interquartile means over 10 conditions" in table
+    assert "| AILSRS | 20 of 20 | 0.96 [0.95, 0.97] | 0.58 [0.57, 0.58] |" in table
+    assert "| BC | 18 of 19 | 0.51 | 0.31 |" in table  # a condition with one seed: no interval
     means = "3111 ± 46 | 3240 | 0.96 ± 0.01 | 3111 ± 46 | 0.58 ± 0.01"
     assert f"| AILSRS | 10 | 2 of 2 | {means} | 0.50 M (2 of 2) |" in table
     assert "| BC | 10 | 1 of 2 | 1693 | 3240 | 0.52 | 1693 | 0.31 | – (0 of 1) |" in table

@@ -151,7 +151,7 @@ def plus_minus(values: np.ndarray, decimals: int = 0) -> str:
     center, spread = mean_std(values)
     if math.isnan(center):
         return "–"
-    return f"{center:.{decimals}f}" + ("" if math.isnan(spread) else f" ± {spread:.{decimals}f}")
+    return f"{center:z.{decimals}f}" + ("" if math.isnan(spread) else f" ± {spread:.{decimals}f}")
 
 
 def mean(values: np.ndarray) -> str:
@@ -161,8 +161,8 @@ def mean(values: np.ndarray) -> str:
 
 def estimate(value: Estimate) -> str:
     """The value, and its interval where there is one."""
-    interval = "" if math.isnan(value.low) else f" [{value.low:.2f}, {value.high:.2f}]"
-    return f"{value.value:.2f}{interval}"
+    interval = "" if math.isnan(value.low) else f" [{value.low:z.2f}, {value.high:z.2f}]"
+    return f"{value.value:z.2f}{interval}"
 
 
 def _reached(values: np.ndarray, show: Callable[[float], str]) -> str:

@@ -56,7 +56,9 @@ _CLONED_GAIL = GailSettings(behavior_cloning_start=True, standardize_with="exper
 _GAIL_PAPER: Presets = {ELSEWHERE: GailSettings(), "HalfCheetah-v5": _CLONED_GAIL}
 
 # Start, statistics and penalty are meant for what they are for in AILSRS.
-_GAIL_TUNED: Presets = {ELSEWHERE: dataclasses.replace(_CLONED_GAIL, gradient_penalty=10.0)}
+_GAIL_TUNED: Presets = {
+    ELSEWHERE: dataclasses.replace(_CLONED_GAIL, num_iterations=30, gradient_penalty=10.0)
+}
 
 # Mania, Guy and Recht (2018), V2-t, with the survival bonus subtracted as there; the iterations are
 # ours.

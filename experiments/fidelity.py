@@ -3,8 +3,9 @@
 usage: python -m experiments.fidelity [ENV ...]    (from the project's root)
 
 Prints two tables. The first: errors of one environment step from states that random actions and,
-where one ships, the expert visit. The second: returns of trained policies, each simulated in the
-three, as mean over 100 episodes and 95 % confidence interval of that mean.
+where one ships, the expert visit. The second: returns of the experts, and of a policy trained on
+MJX, each simulated in the three, as mean over 100 episodes and 95 % confidence interval of that
+mean.
 """
 
 import sys
@@ -20,7 +21,6 @@ from tests.envs.test_gymnasium_agreement import gymnasium_steps, our_steps
 
 NUM_STEPS = 4000
 NUM_EPISODES = 100
-POLICIES = "experiments/tuned/{}/seed_0/policy.npz"
 TRAINED_ON_MJX = "experiments/physics/swimmer_mjx/seed_0/policy.npz"
 
 
@@ -49,7 +49,7 @@ def print_returns(env_ids: list[str]) -> None:
     places = ("gymnasium", *ENGINES)
     print(f"| policy | {' | '.join(places)} |")
     print("|---|---|---|---|")
-    paths = [Path(POLICIES.format(short_name(env_id))) for env_id in env_ids]
+    paths = [Path("ailsrs_jax/data/experts") / f"{env_id}.npz" for env_id in env_ids]
     if "Swimmer-v5" in env_ids:
         paths.append(Path(TRAINED_ON_MJX))
     for path in filter(Path.exists, paths):
@@ -58,7 +58,7 @@ def print_returns(env_ids: list[str]) -> None:
             returns = evaluate(load_policy(path), NUM_EPISODES, physics).returns
             interval = 1.96 * returns.std(ddof=1) / np.sqrt(NUM_EPISODES)
             cells.append(f"{returns.mean():.1f} ± {interval:.1f}")
-        print(f"| {path.parent.parent} | {' | '.join(cells)} |", flush=True)
+        print(f"| {path} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:

@@ -1,38 +1,44 @@
-"""How well the reward-free choice of the kept policy does, from the metrics of finished runs.
+"""How well the reward-free choice of the kept policy does, from the results of a sweep.
 
-usage: python experiments/keeping.py RUN_DIRECTORY ...
+usage: python experiments/keeping.py DIRECTORY     (experiments/results/paper, or any sweep's)
 
-Of each seed: the evaluation return (4 episodes) of the kept iterate, the one with the smallest
-energy distance to the expert; of the last; and of the best, which only the reward could point out;
-and Spearman's rank correlation of distance and return over the iterates.
+Of each cell that is kept by its distance to the expert: the evaluation return of the kept iterate,
+the one with the smallest energy distance; of the last; and of the best, which only the reward could
+point out; and Spearman's rank correlation of distance and return over the iterates.
 """
 
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
+from ailsrs_jax.runs.sweep_results import read_results
 from ailsrs_jax.runs.tracking import read_rows
 
 
 def main() -> None:
-    """Print a row per run and seed."""
-    for directory in map(Path, sys.argv[1:]):
-        header, *rows = read_rows(directory / "metrics.csv")
-        columns = dict(zip(header, np.array(rows, float).T, strict=True))
-        for seed in np.unique(columns["seed"]):
-            mine = columns["seed"] == seed
-            returns, distances = (
-                columns["evaluation_return"][mine],
-                columns["expert_distance"][mine],
-            )
-            kept, last, best = returns[distances.argmin()], returns[-1], returns.max()
-            rank = stats.spearmanr(distances, returns).statistic
-            print(
-                f"{directory.name} seed {seed:.0f}: kept {kept:.0f}, last {last:.0f}, "
-                f"best {best:.0f}, Spearman {rank:.2f}"
-            )
+    """Print a row per cell."""
+    directory = Path(sys.argv[1])
+    kept_by_distance = {
+        cell.cell for cell in read_results(directory).done if cell.algorithm in ("ailsrs", "gail")
+    }
+    header, *rows = read_rows(directory / "curves.csv")
+    name, *wanted = map(header.index, ("cell", "evaluation_return", "expert_distance"))
+    curves = defaultdict(list)
+    for row in rows:
+        if row[name] in kept_by_distance:
+            curves[row[name]].append([float(row[column]) for column in wanted])
+    print("| cell | kept | last | best | Spearman |")
+    print("|---|---|---|---|---|")
+    for cell, curve in curves.items():
+        returns, distances = np.array(curve).T
+        rank = stats.spearmanr(distances, returns).statistic if len(returns) > 1 else np.nan
+        print(
+            f"| {cell} | {returns[distances.argmin()]:.0f} | {returns[-1]:.0f} | "
+            f"{returns.max():.0f} | {rank:.2f} |"
+        )
 
 
 if __name__ == "__main__":

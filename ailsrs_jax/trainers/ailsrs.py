@@ -38,7 +38,9 @@ class AilsrsSettings(AdversarySettings):
     episode_length: int = 1000
     memory_iterations: int = 1  # the discriminator sees the policies of so many iterations
     memory_samples: int = 4000  # at least so many are remembered of each iteration
-    reward_reduction: Literal["mean", "sum"] = "mean"  # over the live steps of a rollout
+    # What a step after an episode's end is worth, as a share of the mean over its live steps. At 1,
+    # the paper's, a rollout is worth the mean over its live steps; at 0 their sum, divided by T.
+    reward_after_end: float = 1.0
     behavior_cloning_start: bool = False
     standardize_with: Literal["running", "expert"] = "running"  # whose statistics
     num_evaluation_episodes: int = 4
@@ -239,13 +241,20 @@ class Ailsrs(Trainer):
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
     def _imitation_returns(self, adversary: AdversaryState, episodes: Rollout) -> jax.Array:
-        """``(B,)`` reward of each rollout: the mean over its live steps, or their sum."""
+        """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T).
+
+        r̄ is the mean over its L live steps, and ρ what those after its end are worth. A mean over
+        live steps cannot see a fall, and their sum pays a policy for standing still; between the
+        two both lose.
+        """
         num_seen = self._adversary.num_seen(episodes.lengths)
         totals = episodes.sum_over_steps(
             lambda *steps: self._adversary.rewards(adversary, self._adversary.inputs(*steps)),
             num_seen,
         )
-        return totals / num_seen if self.settings.reward_reduction == "mean" else totals
+        worth = self.settings.reward_after_end
+        lasted = episodes.lengths / self.settings.episode_length
+        return totals / num_seen * (worth + (1.0 - worth) * lasted)
 
 
 def make_ailsrs(

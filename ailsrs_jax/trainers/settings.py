@@ -16,7 +16,10 @@ POSITIVE = {
     "validation_fraction",
 }
 ANY_SIGN = {"survival_bonus", "stop_at"}
-AT_MOST_ONE = {"validation_fraction", "discount", "advantage_decay", "discounting", "gae_lambda"}
+AT_MOST_ONE = {
+    *("validation_fraction", "discount", "advantage_decay", "discounting", "gae_lambda"),
+    "reward_after_end",
+}
 
 SettingsT = TypeVar("SettingsT")
 

@@ -19,7 +19,7 @@ def test_paper_preset_is_table_one() -> None:
     assert settings.gradient_penalty == 0.0
     assert settings.memory_iterations == 1
     assert settings.standardize_with == "running"
-    assert settings.reward_reduction == "mean"
+    assert settings.reward_after_end == 1.0
 
 
 def test_only_half_cheetah_starts_from_behavior_cloning_in_the_paper() -> None:

@@ -186,9 +186,10 @@ WRONG = {
     },
     "noise_std is 0.0: it must be positive": {"assignments": {"noise_std": "0"}},
     "step_size is nan: it must be finite": {"assignments": {"step_size": "nan"}},
-    "reward_reduction is 'max': it must be mean or sum": {
-        "assignments": {"reward_reduction": "max"}
+    "standardize_with is 'max': it must be running or expert": {
+        "assignments": {"standardize_with": "max"}
     },
+    "reward_after_end is 1.5: it must be at most 1": {"assignments": {"reward_after_end": "1.5"}},
 }
 
 

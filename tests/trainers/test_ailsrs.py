@@ -113,13 +113,15 @@ def test_statistics_run_or_stay_the_experts(
         assert (float(after.statistics.count) > float(state.statistics.count)) == moves
 
 
-@pytest.mark.parametrize("reduction", ["mean", "sum"])
+@pytest.mark.parametrize("after_end", [1.0, 0.0, 0.75])
 @pytest.mark.parametrize("sees", ["state_action", "state", "state_next_state"])
 def test_reward_of_a_rollout_in_closed_form(
-    reduction: str, sees: str, point_mass: PointMass, point_mass_expert: Demonstrations
+    after_end: float, sees: str, point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:
     """With any parameters: softplus of the logits, over live steps only, in slices or not."""
-    settings = dataclasses.replace(SMALL, reward_reduction=reduction, discriminator_sees=sees)
+    settings = dataclasses.replace(
+        SMALL, reward_after_end=after_end, discriminator_sees=sees, episode_length=120
+    )
     trainer = make_ailsrs(point_mass, point_mass_expert, settings)
     adversary = trainer.init(jax.random.key(1)).adversary
     lengths = np.array([2, 49, 50, 51, 120])
@@ -139,7 +141,9 @@ def test_reward_of_a_rollout_in_closed_form(
             "state_next_state": jnp.concatenate([states[:-1], states[1:]], axis=1),
         }[sees]
         rewards = -np.log1p(-jax.nn.sigmoid(logit(inputs)))
-        expected = rewards.mean() if reduction == "mean" else rewards.sum()
+        padded = np.full(120, after_end * rewards.mean())
+        padded[:length] = rewards.mean()
+        expected = padded.mean()
         np.testing.assert_allclose(returns[index], expected, rtol=1e-4)
 
 

@@ -6,7 +6,9 @@ answer at once.
 
 import dataclasses
 import json
+import logging
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -41,6 +43,7 @@ def train(
     rollout_batch_size: int | None = None,
     output: Path | None = None,
     resume: bool = False,
+    checkpoint_every: Annotated[int, arg(metavar="K")] = 10,
     distributed: bool = False,
 ) -> None:
     """Train a policy to imitate demonstrations, or on the environment's reward.
@@ -64,6 +67,7 @@ def train(
         rollout_batch_size: Simulations of a device at a time, for less memory.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Go on from the newest checkpoint in the output directory.
+        checkpoint_every: Save the whole state every K iterations.
         distributed: One run on the devices of all processes of a SLURM, Open MPI, Kubernetes or
             Cloud TPU job, each of which is started with the same command.
     """
@@ -72,6 +76,7 @@ def train(
     from ailsrs_jax.runs import run
     from ailsrs_jax.runs.algorithms import find_algorithm
     from ailsrs_jax.runs.devices import is_first_process, join_processes
+    from ailsrs_jax.signals import StopSignals
 
     if distributed:
         if output is None:
@@ -110,14 +115,15 @@ def train(
         highlight=False,
         soft_wrap=True,
     )
+    stop = StopSignals(console)
     try:
-        with RunProgress(console) as progress:
-            result = run.execute(plan, output, resume=resume, watch=progress)
+        with stop, RunProgress(console) as bar:
+            result = run.execute(
+                plan, output, resume=resume, checkpoint_every=checkpoint_every, watch=bar, stop=stop
+            )
     except KeyboardInterrupt:
-        console.print(
-            f"interrupted; the same command with --output {escape(str(output))} --resume goes on"
-        )
-        sys.exit(130)
+        console.print(f"the same command with --output {escape(str(output))} --resume goes on")
+        sys.exit(128 + (stop.received or signal.SIGINT))
 
     print_results(console, result, physics)
     if not is_first_process():
@@ -312,6 +318,7 @@ def main() -> None:
     # XLA, as it takes a program from the cache, prints pages about processor features that only
     # tell the compiler what to prefer.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    logging.basicConfig(format="ailsrs: %(message)s")
     try:
         app.cli(prog="ailsrs", description=__doc__.splitlines()[0])
     except KeyboardInterrupt:

@@ -167,6 +167,7 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
     assert "2/2" in printed
     assert "expert" in printed.splitlines()[-2]
     assert sorted(path.name for path in Path("run").iterdir()) == [
+        ".lock",
         "checkpoints",
         "config.json",
         "metrics.csv",
@@ -308,5 +309,5 @@ def test_a_curve_needs_metrics(tmp_path: Path) -> None:
     from ailsrs_jax.errors import UserError
     from ailsrs_jax.runs.run import Result
 
-    with pytest.raises(UserError, match="cannot read"):
+    with pytest.raises(UserError, match="no such file"):
         plot_training_curve(tmp_path, "title", Result(None, {}, {0: 0}, None))

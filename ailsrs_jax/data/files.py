@@ -1,14 +1,18 @@
 """Reading archives that may be anything; writing files so that nobody sees half of one."""
 
+import json
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, one_line
+
+MAX_JSON = 2**20  # bytes; ours have a few thousand
+PARTIAL = ".partial"  # how the hidden files end that a process was killed while writing
 
 
 def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -20,7 +24,9 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=f".{path.name}.", suffix=PARTIAL, delete=False
+        ) as file:
             temporary = Path(file.name)
             try:
                 write(file)
@@ -46,6 +52,41 @@ def require_writable(path: Path) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from error
     if not writable:
         raise UserError(f"cannot write {path}")
+
+
+def require_file(path: Path) -> None:
+    """Raise UserError unless ``path`` is a file: a pipe or a device could be read for ever.
+
+    The message says what it is instead.
+    """
+    try:
+        is_there, is_file = path.exists(), path.is_file()
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot read {path}: {one_line(error)}") from error
+    if not is_there:
+        raise UserError(f"no such file: {path}")
+    if not is_file:
+        raise UserError(f"{path} is not a file")
+
+
+def read_json_object(path: Path, what: str) -> dict[str, Any]:
+    """Read a small JSON file that should hold ``what``, an object.
+
+    Raises:
+        UserError: it is missing, damaged, or something else.
+    """
+    require_file(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_JSON + 1)
+        if len(content) > MAX_JSON:
+            raise ValueError("it is too long")
+        value = json.loads(content)
+        if not isinstance(value, dict):
+            raise ValueError("it is no JSON object")
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(f"{path} is not {what}: {one_line(error)}") from error
+    return value
 
 
 def read_npz(

@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import hashlib
-import importlib.metadata
 import math
 import os
 from collections.abc import Callable
@@ -23,7 +22,7 @@ from ailsrs_jax.envs.late_end import LateEnd
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.config import VERSIONED_PACKAGES, require_seed
+from ailsrs_jax.runs.config import installed_versions, require_seed
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.trainers.rollout import Rollout, rollout
 
@@ -162,8 +161,8 @@ def expert_demonstrations(
     """
     path = expert_path(env_id, of_paper=of_paper)
     engine, _ = choose_engine(physics)
-    versions = {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}
-    content = f"{num_trajectories} {engine} {jax.default_backend()} {versions}".encode()
+    backend = jax.default_backend()
+    content = f"{num_trajectories} {engine} {backend} {installed_versions()}".encode()
     name = f"{env_id}-{hashlib.sha256(content + path.read_bytes()).hexdigest()[:16]}.npz"
     cached = cache_directory() / "demonstrations" / name
     try:

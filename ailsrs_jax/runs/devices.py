@@ -76,6 +76,13 @@ def together(fingerprint: int) -> Iterator[None]:
         raise problem
 
 
+def anywhere(flag: bool) -> bool:
+    """Whether ``flag`` is set in any process of the run."""
+    if jax.process_count() == 1:
+        return flag
+    return bool(multihost_utils.process_allgather(np.array(flag)).any())
+
+
 def choose_devices(env: Env, num_directions: int) -> Devices:
     """All devices, of all processes, or as many as can share the directions evenly.
 

@@ -1,6 +1,7 @@
 """Policies on their way between JAX and files."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +9,22 @@ import numpy as np
 
 from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy, SavedPolicy
+from ailsrs_jax.runs.config import RunConfig
 
 
 def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:
     """The policy as it goes to disk."""
     kind = SavedLinearPolicy if isinstance(policy, LinearPolicy) else SavedMlpPolicy
     return kind(**vars(jax.tree.map(np.asarray, policy)), env_id=env_id)
+
+
+def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
+    """The kept policy of each seed of a run, from the training state of all of them."""
+    policies = jax.tree.map(np.asarray, state.kept.policy)
+    return {
+        seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], policies), config.env_id)
+        for index, seed in enumerate(config.seeds)
+    }
 
 
 def jax_policy(saved: SavedPolicy) -> Policy:

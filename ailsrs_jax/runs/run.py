@@ -17,20 +17,20 @@ from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm, make_trainer
-from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import (
+    anywhere,
     choose_batch_size,
     choose_devices,
-    is_first_process,
     set_up_jax,
     together,
 )
+from ailsrs_jax.runs.directory import RunDirectory, claimed
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.runs.policies import saved_policy
+from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
+from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.settings import override
@@ -93,6 +93,7 @@ def train(
     physics: str = "auto",
     output: str | Path | None = None,
     resume: bool = False,
+    checkpoint_every: int = CHECKPOINT_EVERY,
     rollout_batch_size: int | None = None,
     watch: Watch | None = None,
     **settings: Any,
@@ -114,6 +115,7 @@ def train(
         physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
         output: a run directory to write; without it nothing is written.
         resume: go on from the newest checkpoint in ``output``.
+        checkpoint_every: save the state every so many iterations.
         rollout_batch_size: simulations of a device at a time, for less memory; the results are
             the same but for rounding. By default all, or what is fastest.
         watch: called after every iteration.
@@ -136,7 +138,13 @@ def train(
         subsample,
         algorithm,
     )
-    return execute(plan, Path(output) if output else None, resume=resume, watch=watch)
+    return execute(
+        plan,
+        Path(output) if output else None,
+        resume=resume,
+        checkpoint_every=checkpoint_every,
+        watch=watch,
+    )
 
 
 def make_plan(
@@ -221,33 +229,45 @@ def _find_demonstrations(
 
 
 def execute(
-    plan: Plan, output: Path | None = None, *, resume: bool = False, watch: Watch | None = None
+    plan: Plan,
+    output: Path | None = None,
+    *,
+    resume: bool = False,
+    checkpoint_every: int = CHECKPOINT_EVERY,
+    watch: Watch | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Result:
     """Run ``plan``, and write its directory ``output`` if there is one.
 
+    Args:
+        plan: what to do.
+        output: the run directory.
+        resume: go on from its newest checkpoint.
+        checkpoint_every: so many iterations.
+        watch: called after every iteration.
+        stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
+
     Raises:
-        UserError: the directory holds another run, or cannot be written.
+        UserError: the directory holds another run, is in use, or cannot be written.
     """
     config, settings = plan.config, plan.config.settings
     # First of all, because it refuses what it cannot train, and then nothing is to be written.
     trainer = plan.make_trainer()
-    if output is not None:
-        with together(config.fingerprint()):
-            _prepare_directory(output, config, resume)
-    elif resume:
+    if checkpoint_every < 1:
+        raise UserError(f"checkpoint_every is {checkpoint_every}: it must be at least 1")
+    if resume and output is None:
         raise UserError("resume needs output, the directory of the run to go on with")
-    init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
-    seeds = np.array(config.seeds, np.int32)
-    progress = {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}
-    num_done = 0
-
     with ExitStack() as stack:
-        metrics_file = checkpoints = None
         if output is not None:
-            checkpoints = stack.enter_context(Checkpoints(output / "checkpoints", CHECKPOINT_EVERY))
-            num_done, progress = checkpoints.restore(progress)
-            if is_first_process():
-                metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
+            with together(config.fingerprint()):
+                stack.enter_context(claimed(output, config, resume=resume))
+        init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
+        seeds = np.array(config.seeds, np.int32)
+        num_done, progress = 0, {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}
+        directory = None
+        if output is not None:
+            directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
+            num_done, progress = directory.restore(progress)
 
         state = progress["state"]
         for state, report in iterate(
@@ -257,47 +277,22 @@ def execute(
             num_done,
             settings.num_iterations,
         ):
-            if metrics_file is not None:
-                metrics_file.append(report)
-            if checkpoints is not None:
-                steps = report.metrics["env_steps"]
-                checkpoints.save(
-                    report.iteration + 1,
-                    {"state": state, "steps": steps},
-                    force=report.is_last,
-                )
+            stopping = anywhere(stop()) and not report.is_last
+            if directory is not None:
+                directory.record(report, state, save=stopping or report.is_last)
             if watch is not None:
                 watch(report)
+            if stopping:
+                raise KeyboardInterrupt
 
-    kept = jax.tree.map(np.asarray, state.kept)
-    policies = {
-        seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
-        for index, seed in enumerate(config.seeds)
-    }
-    if output is not None and is_first_process():
-        for seed, policy in policies.items():
-            policy.save(output / f"seed_{seed}" / "policy.npz")
     return Result(
         config=config,
-        policies=policies,
-        kept_iterations=dict(zip(config.seeds, kept.iteration.tolist(), strict=True)),
+        policies=kept_policies(state, config),
+        kept_iterations=dict(
+            zip(config.seeds, np.asarray(state.kept.iteration).tolist(), strict=True)
+        ),
         expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
     )
-
-
-def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
-    config_path = output / "config.json"
-    if resume:
-        config.require_same(config_path)
-    if resume or not is_first_process():
-        return
-    try:
-        occupied = output.exists() and (not output.is_dir() or any(output.iterdir()))
-    except OSError as error:
-        raise UserError(f"cannot write {output}: {error.strerror}") from error
-    if occupied:
-        raise UserError(f"{output} is not empty: add --resume to go on, or choose another --output")
-    config.save(config_path)
 
 
 def _require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:

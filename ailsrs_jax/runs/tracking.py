@@ -3,13 +3,14 @@
 import csv
 import dataclasses
 import io
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ailsrs_jax.data.files import write_atomically
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.data.files import require_file, write_atomically
+from ailsrs_jax.errors import UserError, one_line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,20 +34,31 @@ class MetricsFile:
     """Appends to ``metrics.csv``."""
 
     def __init__(self, path: Path, seeds: Sequence[int], start: int) -> None:
-        """Begin at iteration ``start``, dropping rows that a lost run wrote beyond it."""
+        """Begin at iteration ``start``, dropping rows that a lost run wrote beyond it.
+
+        Raises:
+            UserError: the rows before it are not all there, or it cannot be written.
+        """
         self._path = path
         self._seeds = seeds
         kept: list[list[str]] = []
         if start > 0:
-            header, *rows = read_rows(path)
-            kept = [
-                header,
-                *(row for row in rows if len(row) == len(header) and int(row[0]) < start),
-            ]
+            # Rows beyond may have been cut off in the middle, those before may not.
+            kept = read_rows(path)[: 1 + start * len(seeds)]
+            expected = [[str(i), str(seed)] for i in range(start) for seed in seeds]
+            if [row[:2] for row in kept[1:]] != expected or len({len(row) for row in kept}) > 1:
+                raise UserError(
+                    f"{path} lacks rows of the {start} iterations done: put it back as it was, or "
+                    f"delete {path.parent / 'checkpoints'} to begin anew"
+                )
         write_atomically(path, lambda file: file.write(_as_csv(kept)))
 
-    def append(self, report: IterationReport) -> None:
-        """Write the rows of one iteration."""
+    def append(self, report: IterationReport, *, to_disk: bool = False) -> None:
+        """Write the rows of one iteration; with ``to_disk``, so that no loss of power loses them.
+
+        Raises:
+            UserError: they cannot be written.
+        """
         rows: list[list[str]] = []
         if report.iteration == 0:
             rows.append(["iteration", "seed", *report.metrics])
@@ -57,6 +69,9 @@ class MetricsFile:
         try:
             with self._path.open("ab") as file:
                 file.write(_as_csv(rows))
+                if to_disk:
+                    file.flush()
+                    os.fsync(file.fileno())
         except OSError as error:
             raise UserError(f"cannot write {self._path}: {error.strerror}") from error
 
@@ -67,10 +82,11 @@ def read_rows(path: Path) -> list[list[str]]:
     Raises:
         UserError: it cannot be read, or is empty.
     """
+    require_file(path)
     try:
         rows = list(csv.reader(path.read_text().splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"cannot read {path}: {one_line(error)}") from error
     if not rows:
         raise UserError(f"{path} is empty")
     return rows

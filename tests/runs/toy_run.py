@@ -1,0 +1,62 @@
+"""A run in a process of its own, to be killed: ``python -m tests.runs.toy_run OUTPUT ITERATIONS``.
+
+It goes on where there is something to go on from, and stops as the command line does.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs import run
+from ailsrs_jax.signals import StopSignals
+from tests.point_mass import PointMass
+
+SETTINGS = {
+    "num_directions": "4",
+    "num_top_directions": "2",
+    "episode_length": "20",
+    "discriminator_batch_size": "16",
+    "memory_iterations": "3",
+    "memory_samples": "80",
+    "num_distance_samples": "50",
+}
+SEEDS = (0, 5)
+
+
+def plan(num_iterations: int) -> run.Plan:
+    rng = np.random.default_rng(0)
+    demonstrations = Demonstrations(
+        observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (3, 20, 1)).astype(np.float32),
+        lengths=np.full(3, 20),
+        returns=np.ones(3, np.float32),
+        env_id="PointMass",
+    )
+    settings = SETTINGS | {"num_iterations": str(num_iterations)}
+    return run.make_plan(PointMass(), demonstrations, None, SEEDS, "tuned", "auto", settings)
+
+
+def main(output: Path, num_iterations: int, checkpoint_every: int) -> None:
+    stop = StopSignals(Console(stderr=True))
+    try:
+        with stop:
+            run.execute(
+                plan(num_iterations),
+                output,
+                resume=(output / "config.json").exists(),
+                checkpoint_every=checkpoint_every,
+                stop=stop,
+            )
+    except KeyboardInterrupt:
+        assert stop.received is not None
+        sys.exit(128 + stop.received)
+    except UserError as error:
+        sys.exit(f"refused: {error}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -159,13 +159,14 @@ def evaluate(
         as_json: Print JSON.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
-    from ailsrs_jax.envs.registry import open_env
+    from ailsrs_jax.envs.registry import open_env, require_harmless
     from ailsrs_jax.runs import evaluation
 
     in_gymnasium = physics == "gymnasium"
     rows: list[dict[str, Any]] = []
     for path in policy_files(policy):
         loaded = load_policy(path)
+        require_harmless(loaded.env_id, str(path))
         result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
         rows.append(
             {

@@ -8,7 +8,12 @@ class UserError(ValueError):
     raised is a defect of this package and keeps its traceback.
     """
 
+    def __init__(self, message: str) -> None:
+        # Names and values come from files too, and could break the line or drive the terminal.
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
+
 
 def one_line(error: Exception) -> str:
     """What kind of error it is, and the first line of what it says."""
-    return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
+    text = next(iter(str(error).splitlines()), "")
+    return f"{type(error).__name__}: {text if len(text) <= 300 else f'{text[:297]}...'}"

@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.runs.run import Result
-from ailsrs_jax.runs.tracking import read_rows
+from ailsrs_jax.runs.tracking import read_metrics
 
 # What is drawn of what a run has measured, and the range of its axis.
 PANELS = {
@@ -24,9 +22,7 @@ def plot_training_curve(run_directory: Path, title: str, result: Result) -> Path
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    header, *rows = read_rows(run_directory / "metrics.csv")
-    table = np.array(rows, float)
-    columns = dict(zip(header, table.T, strict=True))
+    columns = read_metrics(run_directory / "metrics.csv")
     imitates = result.expert_returns is not None
     panels = {name: panel for name, panel in PANELS.items() if name in columns}
     figure, all_axes = plt.subplots(

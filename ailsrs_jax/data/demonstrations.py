@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from ailsrs_jax.data.files import read_npz, write_atomically
+from ailsrs_jax.data.files import read_npz, require_name, write_atomically
 from ailsrs_jax.errors import UserError
 
 REQUIRED = ("observations", "lengths", "returns", "env_id")
@@ -147,15 +147,17 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
         f"lengths are not all between 1 and {num_steps}",
     )
     require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
+    require_name(str(env_id), source)
     stride = np.asarray(fields.get("stride", 1))
     require(
         stride.ndim == 0 and np.issubdtype(stride.dtype, np.integer) and int(stride) >= 1,
         "stride is not a single integer from 1 on",
     )
     require(returns.dtype.kind in "iuf", "returns are not numbers")
-    alive = (np.arange(num_steps) < lengths[:, None])[..., None]
     for name, array in steps.items():
         require(array.dtype.kind == "f", f"{name} are not floating-point numbers")
+    # From here on there are as many numbers in memory as the shapes say.
+    alive = (np.arange(num_steps) < lengths[:, None])[..., None]
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused
         steps = {
             name: np.where(alive, array, 0.0).astype(np.float32) for name, array in steps.items()

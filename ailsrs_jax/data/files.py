@@ -3,6 +3,7 @@
 import json
 import os
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
@@ -12,6 +13,9 @@ import numpy as np
 from ailsrs_jax.errors import UserError, one_line
 
 MAX_JSON = 2**20  # bytes; ours have a few thousand
+MAX_NAME = 200  # characters
+SMALL = 2**28  # bytes that any machine has
+MAX_COMPRESSION = 100
 PARTIAL = ".partial"  # how the hidden files end that a process was killed while writing
 
 
@@ -99,20 +103,43 @@ def read_npz(
     Raises:
         UserError: it is missing, damaged, pickled, or lacks a field.
     """
+    require_file(path)
     try:
-        with path.open("rb") as file:
+        with (
+            warnings.catch_warnings(action="ignore"),  # of headers written in strange ways
+            path.open("rb") as file,
+        ):
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise UserError(f"{path} is not a .npz file of {what}")
             missing = [name for name in fields if name not in archive.files]
             if missing:
                 raise UserError(f"{path} has no {', '.join(missing)}: not a file of {what}")
-            present = [name for name in optional if name in archive.files]
-            return {name: archive[name] for name in (*fields, *present)}
+            names = [*fields, *(name for name in optional if name in archive.files)]
+            assert archive.zip is not None
+            entries = {*names, *(f"{name}.npy" for name in names)}
+            sizes = [x.file_size for x in archive.zip.infolist() if x.filename in entries]
+            require_plausible(sum(sizes), path.stat().st_size, str(path))
+            return {name: np.asarray(archive[name]) for name in names}
     except UserError:
         raise
-    except FileNotFoundError:
-        raise UserError(f"no such file: {path}") from None
     except Exception as error:  # damaged archives raise whatever their reader stumbles over
         reason = "it holds pickled objects" if "pickle" in str(error) else "it is damaged"
         raise UserError(f"{path} is not a .npz file of {what}: {reason}") from error
+
+
+def require_plausible(size: int, file_size: int, source: str) -> None:
+    """Raise UserError if what takes ``file_size`` bytes would fill the memory when unpacked.
+
+    Numbers of the real world shrink to half; the zeros after the ends of short episodes to a
+    thousandth, but only bombs hold nothing else in such numbers.
+    """
+    if size > max(SMALL, MAX_COMPRESSION * file_size):
+        raise UserError(f"{source} would grow from {file_size:,} bytes to {size:,}: not read")
+
+
+def require_name(name: str, source: str) -> str:
+    """``name``, which is for people to read and to look up; UserError unless it can be one."""
+    if not (0 < len(name) <= MAX_NAME and name.isprintable()):
+        raise UserError(f"{source}: env_id is not the name of an environment")
+    return name

@@ -1,6 +1,5 @@
 """Trajectories of the ``imitation`` library, as its ``data.serialize.save`` writes them."""
 
-import json
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.episodes import make_episode, stack
+from ailsrs_jax.data.files import read_json_object, require_file
 from ailsrs_jax.errors import UserError, one_line
 
 COLUMNS = ("obs", "acts", "rews", "terminal")  # "infos" is jsonpickle, and is never decoded
@@ -57,6 +57,7 @@ def load_imitation(
 
 def require_no_pickle(path: Path) -> None:
     """Raise UserError if the file ``path`` is of the library's older formats, which are pickled."""
+    require_file(path)
     try:
         with path.open("rb") as file:
             pickled = file.read(1) == b"\x80"  # what every pickle since 2003 begins with
@@ -83,17 +84,19 @@ def _rows(directory: Path) -> Iterator[dict[str, np.ndarray]]:
         ) from None
     try:
         # The layout is that of the library "datasets", of which only Arrow's files are needed.
-        state = json.loads((directory / "state.json").read_text())
+        state = read_json_object(directory / "state.json", "a list of files")
         names = [Path(file["filename"]).name for file in state["_data_files"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (UserError, ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{directory} was not written by imitation.data.serialize.save: it has no state.json "
             "that names its files"
         ) from error
     for name in names:
         try:
+            require_file(directory / name)
             with pa.memory_map(str(directory / name)) as file:
                 table = pa.ipc.open_stream(file).read_all()
+                table.validate(full=True)  # else offsets could point anywhere in memory
                 missing = [column for column in COLUMNS if column not in table.column_names]
                 if missing:
                     raise UserError(

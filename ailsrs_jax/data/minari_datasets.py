@@ -4,6 +4,7 @@ import copy
 import inspect
 import shutil
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.episodes import Recording, make_episode, stack
+from ailsrs_jax.data.files import read_json_object, require_file, require_plausible
 from ailsrs_jax.errors import UserError, one_line
 
 # Arguments of a task's constructor that change neither observations, actions nor rewards.
@@ -52,7 +54,11 @@ def load_minari(
     source = f"minari:{dataset_id}"
     minari = _import_minari()
     try:
-        dataset = minari.load_dataset(dataset_id, download=True)
+        _download(minari, dataset_id)
+        _require_harmless(minari.storage.get_dataset_path(dataset_id) / "data", source)
+        dataset = minari.load_dataset(dataset_id)
+    except UserError:
+        raise
     except Exception as error:  # the network's, the server's, or that of a damaged dataset
         raise UserError(f"cannot load {source}: {one_line(error)}") from error
     episodes, num_left_out = [], 0
@@ -126,6 +132,50 @@ def save_minari(recording: Recording, dataset_id: str) -> None:
     except Exception as error:  # a full disk, or what Minari finds wrong
         shutil.rmtree(minari.storage.get_dataset_path(dataset_id), ignore_errors=True)
         raise UserError(f"cannot write minari:{dataset_id}: {one_line(error)}") from error
+
+
+def _download(minari: Any, dataset_id: str) -> None:
+    """Fetch the dataset, if it is not on this machine."""
+    minari.dataset.minari_dataset.parse_dataset_id(dataset_id)  # before it becomes part of a path
+    if not minari.storage.get_dataset_path(dataset_id).exists():
+        minari.download_dataset(dataset_id)
+
+
+def _require_harmless(directory: Path, source: str) -> None:
+    """Raise UserError where reading a dataset would run code, follow its links or fill the memory.
+
+    Minari makes the environment, whose code the dataset names, if the spaces are not given; and
+    HDF5 can point to other files, and hold as much of nothing as one likes in a few bytes.
+    """
+    import h5py
+
+    metadata = read_json_object(directory / "metadata.json", "the description of a Minari dataset")
+    for name in ("observation_space", "action_space"):
+        if not isinstance(metadata.get(name), str):
+            raise UserError(f"{source} does not say what its {name} is")
+    if metadata.get("data_format") != "hdf5":
+        raise UserError(f"{source} is not in the format hdf5, the only one that is read")
+    path = directory / "main_data.hdf5"
+    require_file(path)
+    arrays = []
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays.append(item.nbytes)
+            if item.external or item.is_virtual:
+                raise UserError(f"{source} points to other files: {name!a}")
+
+    def visit_link(name: str, link: Any) -> None:
+        if not isinstance(link, h5py.HardLink):
+            raise UserError(f"{source} holds a link: {name!a}")
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+        file.visititems_links(visit_link)
+        num_episodes = metadata.get("total_episodes")
+        if not (isinstance(num_episodes, int) and 0 <= num_episodes <= len(file)):
+            raise UserError(f"{source} does not hold the number of episodes that it says")
+    require_plausible(sum(arrays), path.stat().st_size, source)
 
 
 def _buffers(recording: Recording, minari: Any) -> list[Any]:

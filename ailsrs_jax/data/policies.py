@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.data.files import read_npz, write_atomically
+from ailsrs_jax.data.files import read_npz, require_name, write_atomically
 from ailsrs_jax.errors import UserError
 
 # The fields that any policy's file has, beside env_id; then those of a neural one.
@@ -144,6 +144,7 @@ def load_policy(path: str | Path) -> SavedPolicy:
 
     env_id = fields.pop("env_id")
     require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
+    require_name(str(env_id), str(path))
     layers = [fields["weights" if is_linear else f"weights_{i}"] for i in range(num_layers)]
     shapes: dict[str, tuple[int, ...]] = {}
     for layer, matrix in enumerate(layers):
@@ -161,7 +162,7 @@ def load_policy(path: str | Path) -> SavedPolicy:
         shape = shapes.get(name, array.shape)
         require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
         require(
-            array.dtype.kind == "f" and bool(np.isfinite(array).all()),
+            array.dtype in (np.float32, np.float64) and bool(np.isfinite(array).all()),
             f"{name} is not made of finite floating-point numbers",
         )
     require(bool((fields["std"] > 0).all()), "std is not positive")

@@ -101,6 +101,29 @@ def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
     return OpenEnv(task, env_id, _engine(task), reason)
 
 
+def require_harmless(env_id: str, source: str) -> None:
+    """Raise UserError unless ``env_id``, as a file names it, is safe to look up and to call.
+
+    A person may name anything. A file could be a stranger's, and name what does harm: so it has to
+    be a task of ours, something in the current directory, or an environment's class.
+    """
+    if env_id in TASKS or ":" not in env_id:
+        return
+    parts = env_id.partition(":")[0].split(".")
+    path = Path.cwd().joinpath(*parts)
+    is_module = all(part.isidentifier() for part in parts)
+    if is_module and (path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()):
+        return
+    if is_module and parts[0] not in sys.stdlib_module_names:
+        factory = _factory(env_id)
+        if isinstance(factory, type) and issubclass(factory, Env):
+            return
+    raise UserError(
+        f"{source} is of {env_id}, which is no module in the current directory: it could do "
+        "anything, so it is not looked up; in Python, hand in the environment as env"
+    )
+
+
 def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:
     try:
         if _takes_physics(factory):

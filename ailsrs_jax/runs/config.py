@@ -15,6 +15,8 @@ from ailsrs_jax.errors import UserError
 
 VERSIONED_PACKAGES = ("ailsrs_jax", "jax", "jaxlib", "mujoco", "gymnasium", "numpy", "optax")
 
+MOST_DIFFERENCES = 8  # that are told in a line
+
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
@@ -49,6 +51,9 @@ class RunConfig:
             for name, value in mine.items()
             if value != _at(saved, name)
         ]
+        if len(differences) > MOST_DIFFERENCES:
+            more = len(differences) - MOST_DIFFERENCES
+            differences[MOST_DIFFERENCES:] = [f"and {more} more differences"]
         if differences:
             hint = ""
             if all(difference.startswith("versions.") for difference in differences):

@@ -92,6 +92,20 @@ def read_rows(path: Path) -> list[list[str]]:
     return rows
 
 
+def read_metrics(path: Path) -> dict[str, np.ndarray]:
+    """The columns of ``metrics.csv`` by name, in float64.
+
+    Raises:
+        UserError: it cannot be read, or is no table of numbers.
+    """
+    header, *rows = read_rows(path)
+    try:
+        table = np.array(rows, float).reshape(len(rows), len(header))
+    except ValueError as error:  # ragged, or words
+        raise UserError(f"{path} is not a table of numbers under a header") from error
+    return dict(zip(header, table.T, strict=True))
+
+
 def _as_csv(rows: list[list[str]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)

@@ -1,5 +1,7 @@
 """The one exception that reports a user's mistake."""
 
+LONGEST = 1000  # characters of a message
+
 
 class UserError(ValueError):
     """What the user handed in is wrong; the message says what, and what to do about it.
@@ -10,7 +12,8 @@ class UserError(ValueError):
 
     def __init__(self, message: str) -> None:
         # Names and values come from files too, and could break the line or drive the terminal.
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
+        line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message[: LONGEST + 1])
+        super().__init__(line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}...")
 
 
 def one_line(error: Exception) -> str:

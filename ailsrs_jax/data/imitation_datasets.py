@@ -57,8 +57,8 @@ def load_imitation(
 
 def require_no_pickle(path: Path) -> None:
     """Raise UserError if the file ``path`` is of the library's older formats, which are pickled."""
-    require_file(path)
     try:
+        require_file(path)
         with path.open("rb") as file:
             pickled = file.read(1) == b"\x80"  # what every pickle since 2003 begins with
         if zipfile.is_zipfile(path):

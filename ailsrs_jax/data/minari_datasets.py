@@ -157,25 +157,27 @@ def _require_harmless(directory: Path, source: str) -> None:
         raise UserError(f"{source} is not in the format hdf5, the only one that is read")
     path = directory / "main_data.hdf5"
     require_file(path)
-    arrays = []
+    sizes, problems = [], []
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            arrays.append(item.nbytes)
+            sizes.append(item.nbytes)
             if item.external or item.is_virtual:
-                raise UserError(f"{source} points to other files: {name!a}")
+                problems.append(f"points to other files: {name!a}")
 
     def visit_link(name: str, link: Any) -> None:
         if not isinstance(link, h5py.HardLink):
-            raise UserError(f"{source} holds a link: {name!a}")
+            problems.append(f"holds a link: {name!a}")
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
         file.visititems_links(visit_link)
+        if problems:
+            raise UserError(f"{source} {problems[0]}")
         num_episodes = metadata.get("total_episodes")
         if not (isinstance(num_episodes, int) and 0 <= num_episodes <= len(file)):
             raise UserError(f"{source} does not hold the number of episodes that it says")
-    require_plausible(sum(arrays), path.stat().st_size, source)
+    require_plausible(sum(sizes), path.stat().st_size, source)
 
 
 def _buffers(recording: Recording, minari: Any) -> list[Any]:

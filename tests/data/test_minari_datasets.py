@@ -1,8 +1,10 @@
 """Datasets that Minari itself wrote, in a place of their own."""
 
 import dataclasses
+import json
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -190,11 +192,81 @@ def test_damaged_files_are_one_line(name: str, share: float, datasets: Path) -> 
     assert "\n" not in str(caught.value)
 
 
+def test_code_that_a_dataset_names_is_not_run(datasets: Path) -> None:
+    """Minari makes the environment of a dataset that does not give the spaces."""
+    write(episode())
+    (path,) = datasets.rglob("metadata.json")
+    metadata = json.loads(path.read_text())
+    spec = json.loads(metadata["env_spec"])
+    spec |= {"entry_point": "os:mkdir", "kwargs": {"path": str(datasets / "made")}}
+    spec |= {"max_episode_steps": None, "order_enforce": False, "disable_env_checker": True}
+    metadata["env_spec"] = json.dumps(spec)
+    del metadata["observation_space"]
+    path.write_text(json.dumps(metadata))
+    with pytest.raises(UserError, match="does not say what its observation_space is"):
+        load_minari("hopper/test-v0", "Hopper-v5")
+    assert not (datasets / "made").exists()
+    with contextlib.suppress(Exception):  # whatever Gymnasium finds wrong then
+        minari.load_dataset("hopper/test-v0")
+    assert (datasets / "made").exists()  # else the test would show nothing
+
+
+def change_data(datasets: Path, change: Callable[[Any], None]) -> None:
+    import h5py
+
+    (path,) = datasets.rglob("main_data.hdf5")
+    with h5py.File(path, "a") as file:
+        del file["episode_0"]["rewards"]
+        change(file["episode_0"])
+
+
+def test_data_that_points_elsewhere_or_fills_the_memory(datasets: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    outside = [(str(datasets / "raw"), 0, h5py.h5f.UNLIMITED)]
+    layout = h5py.VirtualLayout(shape=(10,), dtype="f4")
+    layout[:] = h5py.VirtualSource(str(datasets / "other.hdf5"), "x", shape=(10,))
+    for message, change in {
+        "holds a link: 'episode_0/rewards'": lambda group: group.update(
+            rewards=h5py.ExternalLink(str(datasets / "other.hdf5"), "/x")
+        ),
+        "points to other files: 'episode_0/rewards'": lambda group: group.create_dataset(
+            "rewards", (10,), "f4", external=outside
+        ),
+        "points to other files": lambda group: group.create_virtual_dataset("rewards", layout),
+        "would grow from": lambda group: group.create_dataset(
+            "rewards", (10**12,), "f4", chunks=(1024,)
+        ),
+    }.items():
+        write(episode())
+        change_data(datasets, change)
+        with pytest.raises(UserError) as caught:
+            load_minari("hopper/test-v0", "Hopper-v5")
+        assert message in str(caught.value)
+        minari.delete_dataset("hopper/test-v0")
+
+
+@pytest.mark.parametrize(
+    ("message", "change"),
+    [
+        ("not in the format hdf5", {"data_format": "arrow"}),
+        ("does not hold the number of episodes", {"total_episodes": 10**12}),
+    ],
+)
+def test_descriptions_are_not_believed(message: str, change: dict, datasets: Path) -> None:
+    write(episode())
+    (path,) = datasets.rglob("metadata.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(UserError, match=message):
+        load_minari("hopper/test-v0", "Hopper-v5")
+    with pytest.raises(UserError, match=r"cannot load minari:\.\./test-v0: ValueError: Malformed"):
+        load_minari("../test-v0", "Hopper-v5")
+
+
 def test_a_dataset_that_is_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unreachable(dataset_id: str, download: bool) -> None:
+    def unreachable(dataset_id: str) -> None:
         raise ConnectionError("no route\nto the server")
 
-    monkeypatch.setattr(minari, "load_dataset", unreachable)
+    monkeypatch.setattr(minari, "download_dataset", unreachable)
     with pytest.raises(UserError, match=r"cannot load minari:hopper/none-v0: .*: no route$"):
         load_minari("hopper/none-v0", "Hopper-v5")
 

@@ -9,7 +9,7 @@ import pytest
 from brax.envs.wrappers import training
 
 from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import make_env, open_env, resolve_env_id
+from ailsrs_jax.envs.registry import make_env, open_env, require_harmless, resolve_env_id
 from ailsrs_jax.errors import UserError
 from tests.point_mass import PointMass
 
@@ -170,3 +170,12 @@ def test_actuators_with_a_state_are_for_the_c_engine() -> None:
         velocity, state = state.obs[1], env.step(state, jnp.ones(1))
     # Two steps of 2 ms each time; the integrated control is the force on a kilogram.
     np.testing.assert_allclose(state.obs[1] - velocity, 0.002 * (0.008 + 0.010), rtol=0.01)
+
+
+@pytest.mark.usefixtures("own_tasks")
+def test_what_a_file_names_is_not_called_if_it_could_do_harm() -> None:
+    for env_id in ("Hopper-v5", "own_tasks:Slider", "PointMass", "tests.point_mass:PointMass"):
+        require_harmless(env_id, "policy.npz")
+    for env_id in ("os:abort", "posix:_exit", "shutil:rmtree", "pip:main", "../x:y", ":", "a b:c"):
+        with pytest.raises(UserError, match=r"policy\.npz is of .* not looked up"):
+            require_harmless(env_id, "policy.npz")

@@ -1,0 +1,81 @@
+"""A small slice of ``python -m tests.fuzz``: whatever the bytes, a value or one line."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests import fuzz
+
+# In proportion to what each costs; a second or less altogether.
+EXAMPLES = {
+    "demonstrations": 150,
+    "policy": 150,
+    "config": 80,
+    "metrics": 100,
+    "imitation": 60,
+    "minari": 20,
+    "checkpoints": 4,
+}
+
+
+@pytest.fixture(scope="module")
+def watcher(tmp_path_factory: pytest.TempPathFactory) -> fuzz.Watcher:
+    return fuzz.Watcher(tmp_path_factory.getbasetemp())
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", fuzz.READERS)
+def test_whatever_the_bytes(
+    name: str, watcher: fuzz.Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name == "imitation":
+        pytest.importorskip("pyarrow")
+    elif name == "minari":
+        pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    monkeypatch.chdir(tmp_path)
+
+    @settings(
+        max_examples=EXAMPLES[name],
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    @given(st.integers(0, 2**32))
+    def gives_a_value_or_one_line(number: int) -> None:
+        outcome, text = fuzz.try_one(
+            fuzz.READERS[name], tmp_path / "input", f"{name} {number}", watcher
+        )
+        assert outcome in ("value", "refused"), text
+
+    gives_a_value_or_one_line()
+    assert sorted(path.name for path in tmp_path.iterdir()) in ([], ["datasets"])
+
+
+def test_the_watcher_sees_what_it_should(watcher: fuzz.Watcher, tmp_path: Path) -> None:
+    """Or its silence would mean nothing."""
+    import os
+    import pickle
+
+    class Harmful:
+        def __reduce__(self) -> tuple:
+            return (os.system, ("true",))
+
+    harmful = pickle.dumps(Harmful())
+    for act in (
+        lambda path: pickle.loads(harmful),
+        lambda path: Path("/tmp/a-place-outside").write_text(""),
+        lambda path: os.system("true"),
+    ):
+        reader = fuzz.Reader(1, lambda path, rng: None, act)
+        assert fuzz.try_one(reader, tmp_path / "none", "", watcher)[0] == "outside"
+    Path("/tmp/a-place-outside").unlink()
+    for act, outcome in {
+        (lambda path: 1 / 0): "traceback",
+        (lambda path: (tmp_path / "inside").write_text("")): "value",
+    }.items():
+        reader = fuzz.Reader(1, lambda path, rng: None, act)
+        assert fuzz.try_one(reader, tmp_path / "none", "", watcher)[0] == outcome

@@ -1,5 +1,6 @@
 """Datasets that Minari itself wrote, in a place of their own."""
 
+import contextlib
 import dataclasses
 import json
 import sys

@@ -9,6 +9,7 @@ its directory, unpickle nothing and start nothing. An input is a function of its
 import argparse
 import contextlib
 import csv
+import dataclasses
 import io
 import json
 import multiprocessing
@@ -320,16 +321,15 @@ def read_config(path: Path) -> object:
     return config().require_same(configs.read_config(path), path)
 
 
-def make_metrics(path: Path, rng: Rng) -> None:
-    rows = [["iteration", "seed", "env_steps", "evaluation_return"]]
-    rows += [[i, seed, 80 * i, rng.random()] for i in range(4) for seed in (0, 5)]
+def make_csv(rows: list[list[Any]], path: Path, rng: Rng) -> None:
+    rows = [list(row) for row in rows]
     for _ in range(rng.choice([0, 1, 1, 3])):
         at = rng.randrange(len(rows))
         match rng.randrange(5):
             case 0:
                 del rows[at]
             case 1:
-                rows.insert(at, rows[rng.randrange(len(rows))])
+                rows.insert(at, list(rows[rng.randrange(len(rows))]))
             case 2:
                 rows[at] = rows[at][: rng.randrange(4)]
             case _ if rows[at]:
@@ -340,6 +340,43 @@ def make_metrics(path: Path, rng: Rng) -> None:
     csv.writer(text, lineterminator="\n").writerows(rows)
     content = text.getvalue().encode(errors="replace")
     path.write_bytes(mutate_bytes(content, rng) if rng.random() < 0.5 else content)
+
+
+def make_metrics(path: Path, rng: Rng) -> None:
+    rows: list[list[Any]] = [["iteration", "seed", "env_steps", "evaluation_return"]]
+    rows += [[i, seed, 80 * i, rng.random()] for i in range(4) for seed in (0, 5)]
+    make_csv(rows, path, rng)
+
+
+def make_results(path: Path, rng: Rng) -> None:
+    """What a sweep has measured, one of its three tables damaged."""
+    from ailsrs_jax.runs.sweep_results import Cell
+
+    words = {"cell": "a", "status": "done", "env_id": "Hopper-v5", "settings": "noise_std=1"}
+    names = [field.name for field in dataclasses.fields(Cell)]
+    curve, timing = (
+        "cell iteration env_steps evaluation_return",
+        "cell train_seconds compile_seconds",
+    )
+    tables: dict[str, list[list[Any]]] = {
+        "results.csv": [names, *([words.get(x, i) for x in names] for i in range(2))],
+        "curves.csv": [curve.split(), *(["a", i, 10 * i, 0.5] for i in range(3))],
+        "timings.csv": [timing.split(), ["a", 1, 2, "", "CPU"]],
+    }
+    tables["results.csv"][2][0] = "b"
+    path.mkdir()
+    damaged = rng.choice(sorted(tables))
+    for name, rows in tables.items():
+        if name == damaged:
+            make_csv(rows, path / name, rng)
+        else:
+            (path / name).write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+
+
+def read_sweep_results(path: Path) -> object:
+    from ailsrs_jax.runs.sweep_results import read_results
+
+    return [cell.normalized_over_training for cell in read_results(path).cells]
 
 
 def read_metrics(path: Path) -> object:
@@ -516,7 +553,8 @@ READERS = {
     ),
     "policy": Reader(30, lambda path, rng: make_npz(policy_arrays(rng), path, rng), read_policy),
     "config": Reader(15, copied(lambda _: config().as_json()), read_config),
-    "metrics": Reader(15, make_metrics, read_metrics),
+    "metrics": Reader(10, make_metrics, read_metrics),
+    "results": Reader(5, make_results, read_sweep_results),
     "imitation": Reader(6, make_imitation, read_imitation),
     "minari": Reader(3, make_minari, read_minari),
     "checkpoints": Reader(1, make_checkpoints, read_checkpoints),

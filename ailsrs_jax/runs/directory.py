@@ -12,7 +12,7 @@ from typing import Any
 from ailsrs_jax.data.files import PARTIAL
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.config import RunConfig, read_config
+from ailsrs_jax.runs.config import RunConfig, installed_versions, read_config
 from ailsrs_jax.runs.devices import is_first_process
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
@@ -50,9 +50,15 @@ class RunDirectory:
         """Iterations done, and ``progress`` as it was after them; 0 and itself without any.
 
         Raises:
-            UserError: what is there cannot be read, or ``metrics.csv`` lacks rows.
+            UserError: what is there cannot be read or is of another run, or ``metrics.csv`` lacks
+                rows.
         """
-        num_done, progress, _ = self._checkpoints.restore(progress)
+        num_done, progress, about = self._checkpoints.restore(progress)
+        if (
+            num_done > 0
+        ):  # it may be another run's, put here; versions were asked for before
+            about |= {"versions": installed_versions()}
+            self._config.require_same(about, self._path / "checkpoints")
         if is_first_process():
             self._metrics = MetricsFile(self._path / "metrics.csv", self._config.seeds, num_done)
             if num_done > 0:

@@ -143,6 +143,11 @@ def test_other_versions_and_lost_rows_are_refused(
     with pytest.raises(UserError, match=r"versions\.jax is '.*', was '0\.1\.2'; install those, or"):
         run.execute(make_plan(), copy, resume=True)
 
+    changed = make_plan(assignments=ASSIGNMENTS | {"noise_std": "0.5"})
+    changed.config.save(copy / "config.json")
+    with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
+        run.execute(changed, copy, resume=True)  # the checkpoints are of another run
+
     shutil.copy(finished[0] / "config.json", copy)
     rows = (copy / "metrics.csv").read_text().splitlines(keepends=True)
     for damaged in (rows[:7] + rows[8:], rows[:-1], rows[:8] + rows[7:], [rows[0][:30], *rows[1:]]):

@@ -54,9 +54,7 @@ class RunDirectory:
                 rows.
         """
         num_done, progress, about = self._checkpoints.restore(progress)
-        if (
-            num_done > 0
-        ):  # it may be another run's, put here; versions were asked for before
+        if num_done > 0:  # it may be another run's, put here; versions were asked for before
             about |= {"versions": installed_versions()}
             self._config.require_same(about, self._path / "checkpoints")
         if is_first_process():

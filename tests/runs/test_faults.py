@@ -35,9 +35,12 @@ def start(
     cache = tmp_path_factory.getbasetemp() / "cache"
     processes = []
 
-    def start_one(output: Path, iterations: int, every: int, devices: int = 1) -> Any:
+    def start_one(
+        output: Path, iterations: int, every: int, devices: int = 1, algorithm: str = "ailsrs"
+    ) -> Any:
+        arguments = [str(output), str(iterations), str(every), algorithm]
         process = subprocess.Popen(
-            [sys.executable, "-m", toy_run.__name__, str(output), str(iterations), str(every)],
+            [sys.executable, "-m", toy_run.__name__, *arguments],
             env=os.environ
             | {
                 "JAX_NUM_CPU_DEVICES": str(devices),
@@ -84,12 +87,12 @@ def newest_state(output: Path) -> tuple[int, list[np.ndarray]]:
 
 def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> None:
     output = tmp_path / "run"
-    process = start(output, MANY, MANY)
+    process = start(output, MANY, MANY, algorithm="ars")
     wait_until(process, lambda: num_rows(output) > 7)
 
     with pytest.raises(UserError, match="another process is writing to"):
-        claimed(output, toy_run.plan(MANY).config, resume=True).__enter__()
-    code, errors = finish(start(output, MANY, MANY))
+        claimed(output, toy_run.plan(MANY, "ars").config, resume=True).__enter__()
+    code, errors = finish(start(output, MANY, MANY, algorithm="ars"))
     assert code == 1
     assert errors == f"refused: another process is writing to {output}\n"
 
@@ -103,7 +106,7 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     assert newest_state(output)[0] == done > 3
     assert load_policy(output / "seed_5" / "policy.npz").env_id == "PointMass"
 
-    process = start(output, MANY, MANY)
+    process = start(output, MANY, MANY, algorithm="ars")
     wait_until(process, lambda: (num_rows(output) - 1) // 2 > done)
     process.send_signal(signal.SIGSTOP)  # so that both arrive within an iteration
     process.send_signal(signal.SIGINT)
@@ -112,7 +115,7 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     code, errors = finish(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM)
     assert newest_state(output)[0] == done
-    with claimed(output, toy_run.plan(MANY).config, resume=True):
+    with claimed(output, toy_run.plan(MANY, "ars").config, resume=True):
         pass  # nothing of them is left that would hold it
 
 

@@ -1,6 +1,7 @@
-"""A run in a process of its own, to be killed: ``python -m tests.runs.toy_run OUTPUT ITERATIONS``.
+"""A run in a process of its own, to be killed.
 
-It goes on where there is something to go on from, and stops as the command line does.
+``python -m tests.runs.toy_run OUTPUT ITERATIONS CHECKPOINT_EVERY ALGORITHM`` goes on where there is
+something to go on from, and stops as the command line does.
 """
 
 import sys
@@ -15,10 +16,8 @@ from ailsrs_jax.runs import run
 from ailsrs_jax.signals import StopSignals
 from tests.point_mass import PointMass
 
-SETTINGS = {
-    "num_directions": "4",
-    "num_top_directions": "2",
-    "episode_length": "20",
+SEARCH = {"num_directions": "4", "num_top_directions": "2", "episode_length": "20"}
+ADVERSARY = {
     "discriminator_batch_size": "16",
     "memory_iterations": "3",
     "memory_samples": "80",
@@ -27,7 +26,7 @@ SETTINGS = {
 SEEDS = (0, 5)
 
 
-def plan(num_iterations: int) -> run.Plan:
+def plan(num_iterations: int, algorithm: str) -> run.Plan:
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
         observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
@@ -36,16 +35,27 @@ def plan(num_iterations: int) -> run.Plan:
         returns=np.ones(3, np.float32),
         env_id="PointMass",
     )
-    settings = SETTINGS | {"num_iterations": str(num_iterations)}
-    return run.make_plan(PointMass(), demonstrations, None, SEEDS, "tuned", "auto", settings)
+    settings = SEARCH | {"num_iterations": str(num_iterations)}
+    if algorithm == "ailsrs":
+        settings |= ADVERSARY
+    return run.make_plan(
+        PointMass(),
+        demonstrations if algorithm == "ailsrs" else None,
+        None,
+        SEEDS,
+        "tuned",
+        "auto",
+        settings,
+        algorithm=algorithm,
+    )
 
 
-def main(output: Path, num_iterations: int, checkpoint_every: int) -> None:
+def main(output: Path, num_iterations: int, checkpoint_every: int, algorithm: str) -> None:
     stop = StopSignals(Console(stderr=True))
     try:
         with stop:
             run.execute(
-                plan(num_iterations),
+                plan(num_iterations, algorithm),
                 output,
                 resume=(output / "config.json").exists(),
                 checkpoint_every=checkpoint_every,
@@ -59,4 +69,4 @@ def main(output: Path, num_iterations: int, checkpoint_every: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4])

@@ -93,7 +93,8 @@ def _rows(directory: Path) -> Iterator[dict[str, np.ndarray]]:
         ) from error
     for name in names:
         try:
-            require_file(directory / name)
+            if not (directory / name).is_file():
+                raise UserError(f"{directory} has no file {name}")
             with pa.memory_map(str(directory / name)) as file:
                 table = pa.ipc.open_stream(file).read_all()
                 table.validate(full=True)  # else offsets could point anywhere in memory

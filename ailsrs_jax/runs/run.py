@@ -121,7 +121,7 @@ def train(
             :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
 
     Raises:
-        UserError: something handed in is wrong.
+        UserError: something handed in is wrong, or most episodes of an iteration diverged.
     """
     assignments = {name: str(value) for name, value in settings.items()}
     plan = make_plan(
@@ -226,7 +226,8 @@ def execute(
     """Run ``plan``, and write its directory ``output`` if there is one.
 
     Raises:
-        UserError: the directory holds another run, or cannot be written.
+        UserError: the directory holds another run, or cannot be written; or most episodes of an
+            iteration diverged.
     """
     config, settings = plan.config, plan.config.settings
     # First of all, because it refuses what it cannot train, and then nothing is to be written.
@@ -249,7 +250,6 @@ def execute(
             if is_first_process():
                 metrics_file = MetricsFile(output / "metrics.csv", config.seeds, num_done)
 
-        state = progress["state"]
         for state, report in iterate(
             trainer.update,
             progress["state"],
@@ -259,17 +259,19 @@ def execute(
         ):
             if metrics_file is not None:
                 metrics_file.append(report)
+            try:
+                report.require_most_finite()
+            except UserError:
+                if checkpoints is not None:  # of before, which was still good
+                    checkpoints.save(report.iteration, progress, force=True)
+                raise
+            progress = {"state": state, "steps": report.metrics["env_steps"]}
             if checkpoints is not None:
-                steps = report.metrics["env_steps"]
-                checkpoints.save(
-                    report.iteration + 1,
-                    {"state": state, "steps": steps},
-                    force=report.is_last,
-                )
+                checkpoints.save(report.iteration + 1, progress, force=report.is_last)
             if watch is not None:
                 watch(report)
 
-    kept = jax.tree.map(np.asarray, state.kept)
+    kept = jax.tree.map(np.asarray, progress["state"].kept)
     policies = {
         seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], kept.policy), config.env_id)
         for index, seed in enumerate(config.seeds)

@@ -18,7 +18,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.exploration import explore
+from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import Rollout, action_range
 from ailsrs_jax.trainers.trainer import Trainer
 
@@ -151,7 +151,7 @@ class Ailsrs(Trainer):
         )
 
         # 2. Train the discriminator to tell their steps from the expert's.
-        lengths = devices.gather(batch.lengths[num_evaluations:].reshape(2, -1), axis=1)
+        lengths = devices.gather(batch.usable_lengths[num_evaluations:].reshape(2, -1), axis=1)
         memory = state.memory.insert(
             self._sample_inputs(memory_key, batch), self._adversary.num_seen(lengths)
         )
@@ -193,9 +193,9 @@ class Ailsrs(Trainer):
         )
         metrics = {
             **evaluated,
-            "imitation_reward": jnp.mean(jnp.stack([returns_plus, returns_minus])),
+            "imitation_reward": jnp.nanmean(jnp.stack([returns_plus, returns_minus])),
             **adversary_metrics,
-            "env_steps": lengths.sum() + devices.agree(evaluation.env_steps),
+            **count_episodes(batch, num_evaluations, devices),
         }
         state = TrainState(
             weights=weights,
@@ -228,9 +228,9 @@ class Ailsrs(Trainer):
         fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
         fractions = fractions.reshape(-1, self._steps_each)
         first = self.settings.num_evaluation_episodes
-        num_seen = self._adversary.num_seen(batch.lengths[first:, None])
-        # A fraction just below 1 can round up.
-        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), num_seen - 1)
+        num_seen = self._adversary.num_seen(batch.usable_lengths[first:, None])
+        # A fraction just below 1 can round up. Of no steps any zero will do: it is never drawn.
+        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), jnp.maximum(num_seen - 1, 0))
         episode = first + jnp.arange(len(time))[:, None]
         following = batch.observations.at[episode, time + 1].get(mode="fill", fill_value=0.0)
         inputs = self._adversary.inputs(
@@ -239,13 +239,17 @@ class Ailsrs(Trainer):
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
     def _imitation_returns(self, adversary: AdversaryState, episodes: Rollout) -> jax.Array:
-        """``(B,)`` reward of each rollout: the mean over its live steps, or their sum."""
-        num_seen = self._adversary.num_seen(episodes.lengths)
+        """``(B,)`` reward of each rollout: the mean over its live steps, or their sum.
+
+        NaN of one that diverged.
+        """
+        num_seen = self._adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
             lambda *steps: self._adversary.rewards(adversary, self._adversary.inputs(*steps)),
             num_seen,
         )
-        return totals / num_seen if self.settings.reward_reduction == "mean" else totals
+        returns = totals / num_seen if self.settings.reward_reduction == "mean" else totals
+        return jnp.where(episodes.diverged, jnp.nan, returns)
 
 
 def make_ailsrs(

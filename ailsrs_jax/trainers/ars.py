@@ -15,7 +15,7 @@ from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
-from ailsrs_jax.trainers.exploration import explore
+from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.trainer import Trainer
 
@@ -117,13 +117,13 @@ class Ars(Trainer):
         )
         evaluation = batch.episodes(0, num_evaluations)
         # Beside other episodes on each device, which can change the last bits.
-        evaluation_return, evaluation_length, evaluation_steps = devices.agree(
-            (evaluation.env_returns.mean(), evaluation.lengths.mean(), evaluation.env_steps)
+        evaluation_return, evaluation_length = devices.agree(
+            (evaluation.env_returns.mean(), evaluation.lengths.mean())
         )
         metrics = {
             "evaluation_return": evaluation_return,
             "evaluation_length": evaluation_length,
-            "env_steps": devices.sum(batch.lengths[num_evaluations:].sum()) + evaluation_steps,
+            **count_episodes(batch, num_evaluations, devices),
         }
         state = TrainState(
             weights=weights,

@@ -191,9 +191,11 @@ class Ailsrs(Trainer):
                 ),
             }
         )
+        all_returns = jnp.stack([returns_plus, returns_minus])
+        all_returns = jnp.where(jnp.isnan(all_returns), jnp.nanmean(all_returns), all_returns)
         metrics = {
             **evaluated,
-            "imitation_reward": jnp.nanmean(jnp.stack([returns_plus, returns_minus])),
+            "imitation_reward": all_returns.mean(),
             **adversary_metrics,
             **count_episodes(batch, num_evaluations, devices),
         }

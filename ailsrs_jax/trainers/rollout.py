@@ -27,7 +27,7 @@ class Rollout(struct.PyTreeNode):
 
     observations: jax.Array  # (B, T, n), what the policy saw
     actions: jax.Array  # (B, T, p), what it did, clipped to the actuators' range
-    env_rewards: jax.Array  # (B, T), what the environment paid for it
+    env_rewards: jax.Array  # (B, T), what the environment paid for it; NaN for a step that diverged
     lengths: jax.Array  # (B,) int32, steps until the episode ended
     diverged: jax.Array  # (B,) bool, it ended because the next step was not finite
     slot_steps: jax.Array  # () int32, steps of the slots that simulated it, busy or idle
@@ -51,7 +51,7 @@ class Rollout(struct.PyTreeNode):
     @property
     def env_returns(self) -> jax.Array:
         """``(B,)`` undiscounted returns of the environment's reward; NaN where it diverged."""
-        return jnp.where(self.diverged, jnp.nan, self.env_rewards.sum(axis=1))
+        return self.env_rewards.sum(axis=1)
 
     @property
     def env_steps(self) -> jax.Array:
@@ -220,15 +220,17 @@ def _simulate(
         actions = jax.vmap(lambda policy, *inputs: policy(*inputs))(acting, *inputs)
         env_state = jax.vmap(env.step)(slots.env_state, actions)
         diverged = jax.vmap(has_diverged)(slots.env_state, actions, env_state)
-        recorded_time = jnp.where(diverged, episode_length, time)  # nowhere
+        finite_time = jnp.where(diverged, episode_length, time)  # else nowhere
 
-        def record(buffer: jax.Array, values: jax.Array) -> jax.Array:
-            return buffer.at[episode, recorded_time].set(values, mode="drop")
+        def record(buffer: jax.Array, values: jax.Array, time: jax.Array) -> jax.Array:
+            return buffer.at[episode, time].set(values, mode="drop")
 
         trajectory = Rollout(
-            observations=record(trajectory.observations, slots.env_state.obs),
-            actions=record(trajectory.actions, actions),
-            env_rewards=record(trajectory.env_rewards, env_state.reward),
+            observations=record(trajectory.observations, slots.env_state.obs, finite_time),
+            actions=record(trajectory.actions, actions, finite_time),
+            env_rewards=record(
+                trajectory.env_rewards, jnp.where(diverged, jnp.nan, env_state.reward), time
+            ),
             lengths=trajectory.lengths.at[episode].set(
                 jnp.where(diverged, time, time + 1), mode="drop"
             ),

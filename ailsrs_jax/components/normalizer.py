@@ -74,8 +74,10 @@ def merge(
         batch_sum + jnp.square(shift) * statistics.count * batch_fraction,
     )
     moments = statistics.count, statistics.mean, statistics.sum_of_squares
-    sums, excess = zip(*map(_add, moments, statistics.excess, increments), strict=True)
-    return RunningStatistics(*sums, excess=excess)
+    (count, mean, sum_of_squares), excess = zip(
+        *map(_add, moments, statistics.excess, increments), strict=True
+    )
+    return RunningStatistics(count, mean, sum_of_squares, excess)
 
 
 def _add(number: jax.Array, excess: jax.Array, increment: jax.Array) -> tuple[jax.Array, jax.Array]:

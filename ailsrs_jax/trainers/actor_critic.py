@@ -16,6 +16,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.rollout import Rollout, action_range, episode_counts, rollout
 from ailsrs_jax.trainers.segments import Episodes, Steps, collect
+from ailsrs_jax.trainers.settings import require_countable
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
 
@@ -46,8 +47,12 @@ class TrustRegionSettings:
     num_evaluation_episodes: int = 4
 
 
-def require_batches(settings: TrustRegionSettings) -> None:
-    """Raise UserError unless every environment can have the same part of a batch."""
+def require_batches(settings: TrustRegionSettings, batches_per_update: int = 1) -> None:
+    """Raise UserError unless batches can be shared evenly by the environments, and be counted."""
+    require_countable(
+        settings.updates_per_iteration * batches_per_update * settings.batch_size
+        + 2 * settings.num_evaluation_episodes * settings.episode_length
+    )
     if settings.batch_size % settings.num_envs:
         raise UserError(
             f"setting batch_size is {settings.batch_size}: it must be a multiple of num_envs, "

@@ -14,12 +14,12 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import Rollout, action_range
+from ailsrs_jax.trainers.settings import require_countable
 from ailsrs_jax.trainers.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
@@ -268,9 +268,8 @@ def make_ailsrs(
             the demonstrations do not hold what the settings need.
     """
     devices.require_share(settings.num_directions)
-    steps = 2 * settings.num_directions * settings.episode_length * settings.memory_iterations
-    if steps >= 2**31:
-        raise UserError(f"{steps} steps in num_directions x memory_iterations: below 2^31 is exact")
+    remembered = 2 * settings.num_directions * settings.memory_iterations
+    require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

@@ -17,6 +17,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
 from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import action_range
+from ailsrs_jax.trainers.settings import require_countable
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -149,7 +150,9 @@ def make_ars(
     """See :class:`Ars`.
 
     Raises:
-        UserError: the directions cannot be shared evenly.
+        UserError: the directions cannot be shared evenly, or there are too many steps to count.
     """
+    num_episodes = 2 * settings.num_directions + settings.num_evaluation_episodes
+    require_countable(num_episodes * settings.episode_length)
     devices.require_share(settings.num_directions)
     return Ars(env, settings, devices, rollout_batch_size)

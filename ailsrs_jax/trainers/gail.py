@@ -200,7 +200,7 @@ def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) 
         UserError: the batch cannot be shared evenly by the environments, or the demonstrations do
             not hold what the settings need.
     """
-    require_batches(settings)
+    require_batches(settings, settings.policy_steps)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

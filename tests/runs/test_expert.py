@@ -99,7 +99,7 @@ def test_ppo_lives_with_episodes_that_diverge() -> None:
     expert = ail.train_expert(ExplodingPointMass(0.05), watch=reports.append, **settings)
     assert isinstance(expert, ail.SavedMlpPolicy)  # which are finite
     assert len(reports) == 4
-    with pytest.raises(ail.UserError, match="^stopped: 8 of 8 episodes of iteration 0 diverged"):
+    with pytest.raises(ail.UserError, match=r"^stopped: 8 of 8 episodes of"):
         ail.train_expert(ExplodingPointMass(1.0), **settings)
 
 

@@ -146,7 +146,7 @@ def test_training_goes_on(name: str, point_mass_expert: Demonstrations) -> None:
 
 
 def test_counts_do_not_depend_on_the_number_of_devices() -> None:
-    settings = ArsSettings(**SEARCH | {"num_directions": 20}, episode_length=EPISODE_LENGTH)
+    settings = ArsSettings(**SEARCH | {"num_directions": 48}, episode_length=EPISODE_LENGTH)
     many = Devices(Mesh(np.array(jax.devices()[:4]), (AXIS,)))
     results = [
         jax.jit(Ars(ExplodingPointMass(), settings, where).train)(jax.random.key(0))[1]
@@ -154,7 +154,7 @@ def test_counts_do_not_depend_on_the_number_of_devices() -> None:
     ]
     for name in ("env_steps", "episodes", "diverged"):
         np.testing.assert_array_equal(results[0][name], results[1][name])
-    assert results[0]["episodes"].tolist() == [2 * 20 + settings.num_evaluation_episodes] * 4
+    assert results[0]["episodes"].tolist() == [2 * 48 + settings.num_evaluation_episodes] * 4
 
 
 def test_batches_hold_other_steps_instead() -> None:

@@ -1,7 +1,6 @@
 """Episodes that diverge, from the rollout to a run on disk."""
 
 import csv
-import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from ailsrs_jax.trainers.ars import Ars, ArsSettings
 from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings, make_behavior_cloning
 from ailsrs_jax.trainers.devices import AXIS, Devices
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
-from ailsrs_jax.trainers.rollout import rollout
+from ailsrs_jax.trainers.rollout import Rollout, rollout
 from ailsrs_jax.trainers.trpo import TrpoSettings, make_trpo
 from tests.exploding import FINITE_STEPS, ExplodingPointMass, StiffSlider
 from tests.point_mass import EPISODE_LENGTH, PointMass, expert_policy
@@ -49,20 +48,22 @@ def gentle_policies() -> LinearPolicy:
     return expert_policy().with_weights(weights + expert_policy().weights)
 
 
-@pytest.mark.parametrize("batch_size", [None, 16])
-@pytest.mark.parametrize(
-    ("value", "place"),
-    [(math.nan, "obs"), (-math.inf, "obs"), (1.1e10, "obs"), (math.nan, "reward")],
-)
+@pytest.mark.parametrize(("place", "batch_size"), [("obs", None), ("obs", 16), ("reward", None)])
 def test_a_rollout_ends_before_it_diverges(
-    value: float, place: str, batch_size: int | None, point_mass: PointMass
+    place: str, batch_size: int | None, point_mass: PointMass
 ) -> None:
-    env = ExplodingPointMass(0.3, value, place)
     keys = jax.random.split(jax.random.key(3), NUM_EPISODES)
-    result, plain = (
-        jax.jit(lambda env=env: rollout(env, gentle_policies(), keys, EPISODE_LENGTH, batch_size))()
-        for env in (env, point_mass)
-    )
+
+    def simulate(env: PointMass) -> Rollout:
+        return rollout(env, gentle_policies(), keys, EPISODE_LENGTH, batch_size)
+
+    plain = jax.jit(lambda: simulate(point_mass))()
+    exploding = jax.jit(lambda value: simulate(ExplodingPointMass(0.3, value, place)))
+    for value in (math.nan, math.inf, -math.inf, 1.1e10):
+        require_an_early_end(exploding(value), plain)
+
+
+def require_an_early_end(result: Rollout, plain: Rollout) -> None:
     unstable = np.asarray(plain.observations[:, 0, 0] < -0.4)
     assert 15 < unstable.sum() < 45
     np.testing.assert_array_equal(result.diverged, unstable)
@@ -95,15 +96,18 @@ def test_an_initial_state_that_is_not_finite_leaves_no_step() -> None:
 def learners(demonstrations: Demonstrations) -> dict[str, Any]:
     """What makes the trainer of each algorithm, of an environment."""
     ars = ArsSettings(**SEARCH, episode_length=EPISODE_LENGTH)
-    ailsrs = AilsrsSettings(**SEARCH, **ADVERSARY, gradient_penalty=1.0, memory_samples=200)
-    pairs = dataclasses.replace(ailsrs, discriminator_sees="state_next_state")
+    ailsrs = AilsrsSettings(
+        **SEARCH,
+        **ADVERSARY,
+        discriminator_sees="state_next_state",
+        gradient_penalty=1.0,
+        memory_samples=200,
+    )
     gail, trpo = GailSettings(**BATCHES, **ADVERSARY), TrpoSettings(**BATCHES)
     cloning = BehaviorCloningSettings(num_iterations=4, num_evaluation_episodes=20)
     return {
         "ailsrs": lambda env: make_ailsrs(env, demonstrations, ailsrs),
-        "ailsrs on pairs": lambda env: make_ailsrs(env, demonstrations, pairs),
         "ars": lambda env: Ars(env, ars),
-        "brs": lambda env: Ars(env, dataclasses.replace(ars, scale_by_std=False, step_size=1e-4)),
         "gail": lambda env: make_gail(env, demonstrations, gail),
         "trpo": lambda env: make_trpo(env, trpo),
         "bc": lambda env: make_behavior_cloning(env, demonstrations, cloning),
@@ -118,7 +122,7 @@ def require_finite(state: Any) -> None:
         assert np.isfinite(leaf).all()
 
 
-@pytest.mark.parametrize("name", ["ailsrs", "ailsrs on pairs", "ars", "brs", "gail", "trpo", "bc"])
+@pytest.mark.parametrize("name", ["ailsrs", "ars", "gail", "trpo", "bc"])
 def test_training_goes_on(name: str, point_mass_expert: Demonstrations) -> None:
     """With three episodes of ten that diverge, and without a single one that does not."""
 
@@ -141,7 +145,7 @@ def test_training_goes_on(name: str, point_mass_expert: Demonstrations) -> None:
     state, metrics = train(1.0)
     require_finite(state)
     np.testing.assert_array_equal(metrics["diverged"], metrics["episodes"])
-    if name in ("ars", "brs", "ailsrs"):
+    if name in ("ars", "ailsrs"):
         assert not state.weights.any()  # there was nothing to learn from
 
 
@@ -177,9 +181,8 @@ def test_batches_hold_other_steps_instead() -> None:
     assert (after < 40).any()
 
 
-@pytest.mark.parametrize("physics", ["mujoco", "mjx"])
-def test_on_a_model_that_explodes(physics: str, tmp_path: Path) -> None:
-    env = StiffSlider(physics, tmp_path)
+def test_a_run_on_a_model_that_explodes(tmp_path: Path) -> None:
+    env = StiffSlider("mujoco", tmp_path)
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
         observations=rng.normal(size=(2, 20, 2)).astype(np.float32),
@@ -188,43 +191,53 @@ def test_on_a_model_that_explodes(physics: str, tmp_path: Path) -> None:
         returns=np.zeros(2, np.float32),
         env_id="StiffSlider",
     )
-    run = ail.train(
-        env,
-        demonstrations,
-        preset="paper",
-        output=tmp_path / "run",
-        **SEARCH | ADVERSARY | {"episode_length": 20, "discriminator_batch_size": 50},
-    )
+    settings = SEARCH | ADVERSARY | {"episode_length": 20, "discriminator_batch_size": 50}
+    run = ail.train(env, demonstrations, preset="paper", output=tmp_path / "run", **settings)
     with (tmp_path / "run" / "metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["episodes"] for row in rows] == ["104"] * 4
-    shares = [int(row["diverged"]) / 104 for row in rows]
-    assert all(0.15 < share < 0.45 for share in shares)
-    policy = run.policies[0]
-    assert np.isfinite(policy.weights).all()
-    # Positions from which nothing diverges are within the walls.
-    assert policy.std[0] < 0.35 or run.kept_iterations[0] == 0
+    assert all(0.2 < int(row["diverged"]) / 104 < 0.4 for row in rows)
+    assert all(math.isfinite(float(row["imitation_reward"])) for row in rows)
+    assert np.isfinite(run.policies[0].weights).all()
 
 
-def test_a_run_stops_where_most_diverges(tmp_path: Path, point_mass_expert: Demonstrations) -> None:
-    point_mass_expert = dataclasses.replace(point_mass_expert, env_id="ExplodingPointMass")
-    arguments: dict[str, Any] = SEARCH | ADVERSARY | {"preset": "paper", "output": tmp_path / "run"}
-    env = ExplodingPointMass(share=0.6)
-    with pytest.raises(ail.UserError, match=r"^stopped: \d+ of 104 episodes of iteration 0") as one:
-        ail.train(env, point_mass_expert, **arguments)
-    assert "\n" not in str(one.value)
-    assert len((tmp_path / "run" / "metrics.csv").read_text().splitlines()) == 2
-    assert (tmp_path / "run" / "checkpoints" / "0").is_dir()
-    with pytest.raises(ail.UserError) as again:
-        ail.train(env, point_mass_expert, resume=True, **arguments)
-    assert str(again.value) == str(one.value)
+def test_a_search_on_a_model_that_explodes_in_mjx(tmp_path: Path) -> None:
+    settings = ArsSettings(**SEARCH, episode_length=20)
+    trainer = Ars(StiffSlider("mjx", tmp_path), settings)
+    state, metrics = jax.jit(trainer.train)(jax.random.key(0))
+    require_finite(state)
+    share = metrics["diverged"] / metrics["episodes"]
+    assert (share > 0.2).all()
+    assert (share < 0.4).all()
+    # The positions from which nothing diverges are those between the walls.
+    assert float(state.statistics.std[0]) < 0.35
+    assert np.abs(state.weights).max() > 0
+
+
+def test_a_run_stops_where_most_diverges(tmp_path: Path) -> None:
+    output, env = tmp_path / "run", ExplodingPointMass(share=0.7)
+    arguments: dict[str, Any] = SEARCH | {"episode_length": EPISODE_LENGTH, "output": output}
+    messages = []
+    for resume in (False, True):
+        with pytest.raises(ail.UserError, match=r"^stopped: \d+ of 108 episodes of iter") as caught:
+            ail.train(env, algorithm="ars", resume=resume, **arguments)
+        messages.append(str(caught.value))
+        assert len((output / "metrics.csv").read_text().splitlines()) == 2
+        assert (output / "checkpoints" / "0").is_dir()
+    assert messages[0] == messages[1]
+    assert "\n" not in messages[0]
 
 
 def test_experts_and_evaluations_say_so() -> None:
     env = ExplodingPointMass()
     ones = np.ones(1, np.float32)
     policy = ail.SavedLinearPolicy(
-        np.zeros((1, 2)), np.zeros(2), np.ones(2), -ones, ones, env_id="ExplodingPointMass"
+        weights=np.zeros((1, 2)),
+        mean=np.zeros(2),
+        std=np.ones(2),
+        action_low=-ones,
+        action_high=ones,
+        env_id="ExplodingPointMass",
     )
     with pytest.raises(ail.UserError, match=r"episode \d+ of the expert diverged"):
         ail.demonstrate(policy, 20, env=env, episode_length=10)

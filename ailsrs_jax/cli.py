@@ -7,6 +7,7 @@ answer at once.
 import dataclasses
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -164,18 +165,22 @@ def evaluate(
 
     in_gymnasium = physics == "gymnasium"
     rows: list[dict[str, Any]] = []
+    results: list[evaluation.Evaluation] = []
     for path in policy_files(policy):
         loaded = load_policy(path)
         require_harmless(loaded.env_id, str(path))
         result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
+        results.append(result)
         rows.append(
             {
                 "policy": str(path),
                 "env_id": loaded.env_id,
                 "physics": physics if in_gymnasium else open_env(loaded.env_id, physics).engine,
                 "episodes": episodes,
-                "return_mean": result.mean,
-                "return_std": result.std,
+                "diverged": result.num_diverged,
+                # JSON has no NaN.
+                "return_mean": result.mean if math.isfinite(result.mean) else None,
+                "return_std": result.std if math.isfinite(result.std) else None,
                 "length_mean": float(result.lengths.mean()),
             }
         )
@@ -183,9 +188,10 @@ def evaluate(
         print(json.dumps(rows, indent=2))
         return
     table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
-    for row in rows:
-        returns = f"{row['return_mean']:.0f} ± {row['return_std']:.0f}"
-        table.add_row(escape(row["policy"]), row["env_id"], returns, f"{row['length_mean']:.0f}")
+    for row, result in zip(rows, results, strict=True):
+        table.add_row(
+            escape(row["policy"]), row["env_id"], str(result), f"{row['length_mean']:.0f}"
+        )
     console.print(table)
 
 
@@ -263,9 +269,8 @@ def expert(
     changes = assignments(settings)
     with RunProgress(console) as progress:
         policy = search_expert(env, seed, physics, changes, output, progress, algorithm)
-    final = evaluate(policy, physics=physics)
     console.print(
-        f"return {final.mean:.0f} ± {final.std:.0f} over 100 episodes, in {escape(str(output))}",
+        f"return {evaluate(policy, physics=physics)} over 100 episodes, in {escape(str(output))}",
         highlight=False,
     )
 

@@ -72,6 +72,8 @@ def describe(report: IterationReport) -> str:
         text += f" · reward {reward:.3f} · loss {loss:.3f}"
     if "validation_loss" in metrics:
         text += f" · validation loss {float(np.mean(metrics['validation_loss'])):.4f}"
+    if diverged := int(np.sum(metrics.get("diverged", 0))):
+        text += f" · {diverged} of {int(metrics['episodes'].sum())} episodes diverged"
     steps = float(np.mean(metrics["env_steps"])) / 1e6
     speed = report.env_steps_per_second / 1e3
     return f"{text} · {steps:.2f} M steps · {speed:.1f} k/s"
@@ -81,11 +83,10 @@ def print_results(console: Console, result: Result, physics: str) -> None:
     """The table that ends a run: the return of the kept policies beside the expert's."""
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     for seed, policy in result.policies.items():
-        final = evaluate(policy, physics=physics)
-        returns = f"{final.mean:.0f} ± {final.std:.0f}"
+        returns = str(evaluate(policy, physics=physics))
         if policy.is_stochastic:
             drawn = evaluate(policy, physics=physics, stochastic=True)
-            returns += f" (actions drawn: {drawn.mean:.0f} ± {drawn.std:.0f})"
+            returns += f" (actions drawn: {drawn})"
         table.add_row(str(seed), str(result.kept_iterations[seed]), returns)
     expert = result.expert_returns
     if expert is not None:

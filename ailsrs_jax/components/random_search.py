@@ -1,14 +1,19 @@
 """Basic and augmented random search (Mania, Guy and Recht, 2018) as pure functions.
 
 One step of the search is ``weights = step(weights, deltas, returns_plus, returns_minus, ...)``,
-where the returns are those of the policies :func:`perturb` made. The paper's four algorithms are
-settings of it: BRS has ``scale_by_std=False``; V1 and V2 scale (V2 also standardises the
-observations, which is the policy's business); the ``-t`` variants have
+where the returns are those of the policies :func:`perturb` made, NaN where they diverged. The
+paper's four algorithms are settings of it: BRS has ``scale_by_std=False``; V1 and V2 scale (V2 also
+standardises the observations, which is the policy's business); the ``-t`` variants have
 ``num_top_directions < num_directions``.
 """
 
 import jax
 import jax.numpy as jnp
+
+from ailsrs_jax.components.finite import finite_or
+
+# Below this, relative to the returns, their standard deviation in float32 is rounding.
+MIN_RELATIVE_STD = 1e-6
 
 
 def sample_directions(key: jax.Array, num_directions: int, shape: tuple[int, ...]) -> jax.Array:
@@ -38,17 +43,28 @@ def step(
     Args:
         weights: ``(p, n)``.
         deltas: ``(N, p, n)`` unit noise.
-        returns_plus: ``(N,)`` returns of ``M + ν δ_i``.
+        returns_plus: ``(N,)`` returns of ``M + ν δ_i``. One that is not finite is ranked last, and
+            counts as the lowest of those that are; so a step leads away from where it came from.
         returns_minus: ``(N,)`` returns of ``M − ν δ_i``.
         step_size: α.
         num_top_directions: b; of equal directions the first are kept, so exactly b are used.
-        scale_by_std: divide by σ_R, the standard deviation of the 2b returns used. Where all of
-            them are equal there is nothing to learn and the weights stay.
+        scale_by_std: divide by σ_R, the standard deviation of the 2b returns used. Where they
+            differ by no more than rounding there is nothing to learn and the weights stay.
+
+    Returns:
+        The weights, finite if they were: a step that is not is not taken.
     """
-    _, top = jax.lax.top_k(jnp.maximum(returns_plus, returns_minus), num_top_directions)
-    returns_plus, returns_minus, deltas = returns_plus[top], returns_minus[top], deltas[top]
+    pairs = jnp.stack([returns_plus, returns_minus])
+    finite = jnp.isfinite(pairs)
+    # NaN would come first.
+    _, top = jax.lax.top_k(jnp.max(jnp.where(finite, pairs, -jnp.inf), 0), num_top_directions)
+    lowest = jnp.min(pairs, where=finite, initial=jnp.inf)
+    pairs = jnp.where(finite, pairs, jnp.where(finite.any(), lowest, 0.0))
+    (returns_plus, returns_minus), deltas = pairs[:, top], deltas[top]
     gradient = jnp.einsum("i,i...->...", returns_plus - returns_minus, deltas)
     if scale_by_std:
-        std = jnp.std(jnp.concatenate([returns_plus, returns_minus]))
-        gradient = jnp.where(std > 0, gradient / jnp.where(std > 0, std, 1.0), 0.0)
-    return weights + step_size / num_top_directions * gradient
+        used = jnp.concatenate([returns_plus, returns_minus])
+        std = jnp.std(used)
+        differ = std > MIN_RELATIVE_STD * jnp.max(jnp.abs(used))
+        gradient = jnp.where(differ, gradient / jnp.where(differ, std, 1.0), 0.0)
+    return finite_or(weights + step_size / num_top_directions * gradient, weights)

@@ -35,7 +35,7 @@ class LateEnd(Wrapper):
         after = self.env.step(state.env_state.replace(done=done), action)
         return LateState(
             env_state=after.replace(done=jnp.maximum(ended, after.done)),
-            obs=after.obs,
+            obs=jnp.where(ended != 0, state.obs, after.obs),
             reward=jnp.where(ended != 0, 0.0, after.reward),
             done=ended,
         )

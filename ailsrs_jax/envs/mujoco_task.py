@@ -1,10 +1,8 @@
 """What Gymnasium's MuJoCo v5 tasks have in common, as a Brax environment."""
 
-import contextlib
 import importlib.util
 import os
 from abc import abstractmethod
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -14,6 +12,7 @@ import numpy as np
 
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.physics import Physics, PhysicsState, make_physics
+from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.errors import UserError
 
 
@@ -157,18 +156,7 @@ def load_model(xml_file: str) -> mujoco.MjModel:
     if not path.is_file():
         raise UserError(f"no model file {path}")
     try:
-        with without_warnings():
+        with without_warnings():  # such as that a model is old
             return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise UserError(f"MuJoCo cannot read {path}: {str(error).splitlines()[0]}") from error
-
-
-@contextlib.contextmanager
-def without_warnings() -> Iterator[None]:
-    """Keep MuJoCo from printing, and logging to the working directory, that a model is old."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(previous)

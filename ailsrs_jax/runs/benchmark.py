@@ -225,7 +225,7 @@ def _rollout(
         )
         return episodes.replace(slot_steps=devices.sum(episodes.slot_steps))
 
-    specs = Rollout(shared(0), shared(0), shared(0), shared(0), slot_steps=EVERYWHERE)
+    specs = Rollout(shared(0), shared(0), shared(0), shared(0), shared(0), slot_steps=EVERYWHERE)
     split: Callable[[], Rollout] = devices.split(on_one_device, specs)
     return split
 

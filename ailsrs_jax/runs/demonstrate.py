@@ -91,7 +91,7 @@ def demonstrate(
 
     Raises:
         UserError: no trajectories, negative noise, an unknown task, physics that it does not have,
-            a bad seed, or a policy that does not fit.
+            a bad seed, a policy that does not fit, or one under which an episode diverges.
     """
     recording = record(
         policy,
@@ -129,6 +129,11 @@ def record(
     episodes = simulate(
         policy, _late_end(task.env), num_trajectories, key, episode_length + 1, noise_std
     )
+    if diverged := np.flatnonzero(episodes.diverged).tolist():
+        raise UserError(
+            f"episode {diverged[0]} of the expert diverged, and {len(diverged) - 1} more of "
+            f"{num_trajectories}: the physics is unstable under this policy"
+        )
     lengths = np.asarray(episodes.lengths) - 1
     observations, actions, env_rewards = map(
         np.asarray, (episodes.observations, episodes.actions, episodes.env_rewards)

@@ -63,8 +63,8 @@ class RunDirectory:
                 self._save_policies(progress["state"])
         return num_done, progress
 
-    def record(self, report: IterationReport, state: Any, *, save: bool) -> None:
-        """Write one iteration's metrics and, if it is time or by ``save``, the state.
+    def record(self, report: IterationReport, progress: dict[str, Any], *, save: bool) -> None:
+        """Write one iteration's metrics and, if it is time or by ``save``, the progress.
 
         Raises:
             UserError: it cannot be written.
@@ -74,9 +74,20 @@ class RunDirectory:
         if self._metrics is not None:
             self._metrics.append(report, to_disk=save)
         if save:
-            self._checkpoints.save(num_done, {"state": state, "steps": report.metrics["env_steps"]})
+            self._checkpoints.save(num_done, progress)
             if is_first_process():
-                self._save_policies(state)
+                self._save_policies(progress["state"])
+
+    def abandon(self, report: IterationReport, before: dict[str, Any]) -> None:
+        """Write the metrics of an iteration that leads nowhere, and the progress before it.
+
+        Raises:
+            UserError: it cannot be written.
+        """
+        if self._metrics is not None:
+            self._metrics.append(report, to_disk=True)
+        if report.iteration > 0:
+            self._checkpoints.save(report.iteration, before)
 
     def _save_policies(self, state: Any) -> None:
         for seed, policy in kept_policies(state, self._config).items():

@@ -8,7 +8,7 @@ import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.mujoco_task import without_warnings
+from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
@@ -21,18 +21,32 @@ EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 class Evaluation:
     """Undiscounted returns and lengths of some episodes."""
 
-    returns: np.ndarray  # (E,)
+    returns: np.ndarray  # (E,), NaN of an episode that diverged
     lengths: np.ndarray  # (E,)
 
     @property
     def mean(self) -> float:
-        """Mean return."""
-        return float(self.returns.mean())
+        """Mean return of the episodes that did not diverge; NaN if all did."""
+        return float(self._finite.mean()) if self._finite.size else np.nan
 
     @property
     def std(self) -> float:
-        """Standard deviation of the return over episodes."""
-        return float(self.returns.std())
+        """Standard deviation of the return over those episodes."""
+        return float(self._finite.std()) if self._finite.size else np.nan
+
+    @property
+    def num_diverged(self) -> int:
+        """How many episodes diverged."""
+        return len(self.returns) - len(self._finite)
+
+    def __str__(self) -> str:
+        """Mean ± standard deviation of the return, for people to read."""
+        note = f" ({self.num_diverged} of {len(self.returns)} diverged)"
+        return f"{self.mean:.0f} ± {self.std:.0f}" + (note if self.num_diverged else "")
+
+    @property
+    def _finite(self) -> np.ndarray:
+        return self.returns[np.isfinite(self.returns)]
 
 
 def evaluate(

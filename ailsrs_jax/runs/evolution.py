@@ -15,6 +15,7 @@ from brax.training.networks import make_policy_network
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.divergence import EndDiverged
 from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
 
@@ -82,7 +83,7 @@ def train_by_evolution(
         steps_done, iteration, started = num_steps, iteration + 1, time.perf_counter()
 
     _, (normalizer, parameters), metrics = train.train(
-        environment=UnitActions(env),
+        environment=UnitActions(EndDiverged(env)),
         wrap_env_fn=wrappers.wrap,
         max_devices_per_host=1,
         num_timesteps=settings.num_env_steps,

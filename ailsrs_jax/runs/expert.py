@@ -57,7 +57,7 @@ def train_expert(
         The best policy met; the last one of ``es``.
 
     Raises:
-        UserError: something handed in is wrong.
+        UserError: something handed in is wrong, or most episodes diverged.
     """
     assignments = {name: str(value) for name, value in settings.items()}
     path = Path(output) if output else None
@@ -99,6 +99,7 @@ def search_expert(
         offer(policy, score)
         if watch is not None:
             watch(report)
+        report.require_most_finite()
 
     if algorithm == "ppo":
         ppo_settings = override(PPO_PRESETS.get(task.env_id, PpoSettings()), assignments)

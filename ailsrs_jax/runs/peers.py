@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.envs.mujoco_task import without_warnings
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
 
 SECONDS = 3.0  # that a configuration of a vector environment is stepped for

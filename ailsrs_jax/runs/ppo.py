@@ -15,10 +15,11 @@ from brax.training.agents.ppo import networks, train
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.divergence import EndDiverged
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
-from ailsrs_jax.trainers.rollout import rollout
+from ailsrs_jax.trainers.rollout import episode_counts, rollout
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +95,7 @@ def train_ppo(
         metrics = {
             "evaluation_return": mean,
             "evaluation_length": float(episodes.lengths.mean()),
+            **jax.device_get(episode_counts(episodes)),
             "env_steps": num_steps,
         }
         report = IterationReport(
@@ -110,7 +112,7 @@ def train_ppo(
 
     with contextlib.suppress(_StopError):
         train.train(
-            environment=UnitActions(env),
+            environment=UnitActions(EndDiverged(env)),
             wrap_env_fn=wrappers.wrap,
             max_devices_per_host=1,
             num_timesteps=settings.num_env_steps,

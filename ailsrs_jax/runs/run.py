@@ -123,7 +123,7 @@ def train(
             :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
 
     Raises:
-        UserError: something handed in is wrong.
+        UserError: something handed in is wrong, or most episodes of an iteration diverged.
     """
     assignments = {name: str(value) for name, value in settings.items()}
     plan = make_plan(
@@ -248,7 +248,8 @@ def execute(
         stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 
     Raises:
-        UserError: the directory holds another run, is in use, or cannot be written.
+        UserError: the directory holds another run, is in use, or cannot be written; or most
+            episodes of an iteration diverged.
     """
     config, settings = plan.config, plan.config.settings
     # First of all, because it refuses what it cannot train, and then nothing is to be written.
@@ -269,7 +270,6 @@ def execute(
             directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
             num_done, progress = directory.restore(progress)
 
-        state = progress["state"]
         for state, report in iterate(
             trainer.update,
             progress["state"],
@@ -278,13 +278,21 @@ def execute(
             settings.num_iterations,
         ):
             stopping = anywhere(stop()) and not report.is_last
+            try:
+                report.require_most_finite()
+            except UserError:
+                if directory is not None:
+                    directory.abandon(report, progress)
+                raise
+            progress = {"state": state, "steps": report.metrics["env_steps"]}
             if directory is not None:
-                directory.record(report, state, save=stopping or report.is_last)
+                directory.record(report, progress, save=stopping or report.is_last)
             if watch is not None:
                 watch(report)
             if stopping:
                 raise KeyboardInterrupt
 
+    state = progress["state"]
     return Result(
         config=config,
         policies=kept_policies(state, config),

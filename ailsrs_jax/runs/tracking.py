@@ -29,6 +29,17 @@ class IterationReport:
         """Whether no other follows."""
         return self.finished or self.iteration + 1 == self.num_iterations
 
+    def require_most_finite(self) -> None:
+        """Raise UserError if most of the episodes diverged: there is hardly anything to learn."""
+        episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
+        if 2 * diverged > episodes:
+            raise UserError(
+                f"stopped: {diverged} of {episodes} episodes of iteration {self.iteration} "
+                "diverged (observations, actions or rewards that are not finite, or beyond 1e10): "
+                "the physics is unstable under these policies; a smaller timestep or noise_std, or "
+                "less stiffness or gain in the model, may help"
+            )
+
 
 class MetricsFile:
     """Appends to ``metrics.csv``."""

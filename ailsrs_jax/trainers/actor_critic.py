@@ -9,14 +9,18 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer, trpo
+from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import MlpPolicy, perceptron, repeated
 from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.rollout import Rollout, action_range, rollout
+from ailsrs_jax.trainers.rollout import Rollout, action_range, episode_counts, rollout
 from ailsrs_jax.trainers.segments import Episodes, Steps, collect
+from ailsrs_jax.trainers.settings import require_countable
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
+
+COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
 
 # Every so many samples tell the curvature: it needs far fewer than the gradient does.
 FISHER_STRIDE = 5
@@ -43,8 +47,12 @@ class TrustRegionSettings:
     num_evaluation_episodes: int = 4
 
 
-def require_batches(settings: TrustRegionSettings) -> None:
-    """Raise UserError unless every environment can have the same part of a batch."""
+def require_batches(settings: TrustRegionSettings, batches_per_update: int = 1) -> None:
+    """Raise UserError unless batches can be shared evenly by the environments, and be counted."""
+    require_countable(
+        settings.updates_per_iteration * batches_per_update * settings.batch_size
+        + 2 * settings.num_evaluation_episodes * settings.episode_length
+    )
     if settings.batch_size % settings.num_envs:
         raise UserError(
             f"setting batch_size is {settings.batch_size}: it must be a multiple of num_envs, "
@@ -124,7 +132,7 @@ def evaluate(
         "evaluation_length": mean.lengths.mean(),
         "stochastic_return": drawn.env_returns.mean(),
         "action_std": policy.action_std.mean(),
-        "env_steps": episodes.env_steps,
+        **episode_counts(episodes),
     }
 
 
@@ -147,13 +155,26 @@ def collect_and_improve(
         settings.episode_length,
     )
     state, metrics = improve(state, steps, rewards(steps), improve_key, settings)
-    return state, episodes, steps, metrics
+    return state, episodes, steps, metrics | steps.episode_counts()
 
 
 def merge_states(state: ActorCritic, steps: Steps) -> ActorCritic:
     """Merge the states met into the statistics that the next steps are standardised with."""
-    mask = jnp.ones(steps.over.shape, bool)
-    return state.replace(statistics=normalizer.update(state.statistics, steps.observations, mask))
+    return state.replace(
+        statistics=normalizer.update(state.statistics, steps.observations, ~steps.copied)
+    )
+
+
+def over_updates(metrics: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Metrics of several updates, stacked, as one: sums of what is counted, means of the rest."""
+    return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
+
+
+def with_evaluation(
+    metrics: dict[str, jax.Array], evaluated: dict[str, jax.Array]
+) -> dict[str, jax.Array]:
+    """The ``metrics`` of an iteration's updates beside those of its evaluation."""
+    return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
 
 
 def improve(
@@ -256,10 +277,9 @@ def _fit_critic(
         jax.random.split(key, settings.value_epochs)
     )
     batches = orders[:, : len(targets) // size * size].reshape(-1, size)
-    (critic, optimizer), losses = jax.lax.scan(
-        adam_step, (state.critic, state.critic_optimizer), batches
-    )
-    return critic, optimizer, losses.mean()
+    before = state.critic, state.critic_optimizer
+    after, losses = jax.lax.scan(adam_step, before, batches)
+    return *finite_or(after, before), losses.mean()
 
 
 def _values(critic: Layers, observations: jax.Array) -> jax.Array:

@@ -11,6 +11,7 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import discriminator
+from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
@@ -86,13 +87,13 @@ class Adversary:
         return self._join(standardize(observations), actions, standardize(next_observations))
 
     def num_seen(self, lengths: jax.Array) -> jax.Array:
-        """How many steps ``(...)`` of episodes can be judged, the first ones, at least one.
+        """How many steps ``(...)`` of episodes can be judged, the first ones, one if there is any.
 
         What follows the last step is not recorded. (Of an episode of one step zeros are taken to
         follow.)
         """
         pairs = self.settings.discriminator_sees == "state_next_state"
-        return jnp.maximum(lengths - 1, 1) if pairs else lengths
+        return jnp.maximum(lengths - 1, jnp.minimum(lengths, 1)) if pairs else lengths
 
     def train(
         self, state: AdversaryState, key: jax.Array, sample: Sampler
@@ -141,8 +142,8 @@ class Adversary:
             ), metrics
 
         keys = jax.random.split(key, settings.discriminator_steps)
-        state, metrics = jax.lax.scan(adam_step, state, keys)
-        return state, jax.tree.map(lambda x: x[-1], metrics)
+        trained, metrics = jax.lax.scan(adam_step, state, keys)
+        return finite_or(trained, state), jax.tree.map(lambda x: x[-1], metrics)
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:
         """Rewards ``(...)`` of steps with these ``inputs (..., d)``."""

@@ -14,12 +14,12 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.exploration import explore
+from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import Rollout, action_range
+from ailsrs_jax.trainers.settings import require_countable
 from ailsrs_jax.trainers.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
@@ -153,7 +153,7 @@ class Ailsrs(Trainer):
         )
 
         # 2. Train the discriminator to tell their steps from the expert's.
-        lengths = devices.gather(batch.lengths[num_evaluations:].reshape(2, -1), axis=1)
+        lengths = devices.gather(batch.usable_lengths[num_evaluations:].reshape(2, -1), axis=1)
         memory = state.memory.insert(
             self._sample_inputs(memory_key, batch), self._adversary.num_seen(lengths)
         )
@@ -193,11 +193,13 @@ class Ailsrs(Trainer):
                 ),
             }
         )
+        all_returns = jnp.stack([returns_plus, returns_minus])
+        all_returns = jnp.where(jnp.isnan(all_returns), jnp.nanmean(all_returns), all_returns)
         metrics = {
             **evaluated,
-            "imitation_reward": jnp.mean(jnp.stack([returns_plus, returns_minus])),
+            "imitation_reward": all_returns.mean(),
             **adversary_metrics,
-            "env_steps": lengths.sum() + devices.agree(evaluation.env_steps),
+            **count_episodes(batch, num_evaluations, devices),
         }
         state = TrainState(
             weights=weights,
@@ -230,9 +232,9 @@ class Ailsrs(Trainer):
         fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
         fractions = fractions.reshape(-1, self._steps_each)
         first = self.settings.num_evaluation_episodes
-        num_seen = self._adversary.num_seen(batch.lengths[first:, None])
-        # A fraction just below 1 can round up.
-        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), num_seen - 1)
+        num_seen = self._adversary.num_seen(batch.usable_lengths[first:, None])
+        # A fraction just below 1 can round up. Of no steps any zero will do: it is never drawn.
+        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), jnp.maximum(num_seen - 1, 0))
         episode = first + jnp.arange(len(time))[:, None]
         following = batch.observations.at[episode, time + 1].get(mode="fill", fill_value=0.0)
         inputs = self._adversary.inputs(
@@ -241,20 +243,21 @@ class Ailsrs(Trainer):
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
     def _imitation_returns(self, adversary: AdversaryState, episodes: Rollout) -> jax.Array:
-        """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T).
+        """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T); NaN of one that diverged.
 
         r̄ is the mean over its L live steps, and ρ what those after its end are worth. A mean over
         live steps cannot see a fall, and their sum pays a policy for standing still; between the
         two both lose.
         """
-        num_seen = self._adversary.num_seen(episodes.lengths)
+        num_seen = self._adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
             lambda *steps: self._adversary.rewards(adversary, self._adversary.inputs(*steps)),
             num_seen,
         )
         worth = self.settings.reward_after_end
         lasted = episodes.lengths / self.settings.episode_length
-        return totals / num_seen * (worth + (1.0 - worth) * lasted)
+        returns = totals / num_seen * (worth + (1.0 - worth) * lasted)
+        return jnp.where(episodes.diverged, jnp.nan, returns)
 
 
 def make_ailsrs(
@@ -271,9 +274,8 @@ def make_ailsrs(
             the demonstrations do not hold what the settings need.
     """
     devices.require_share(settings.num_directions)
-    steps = 2 * settings.num_directions * settings.episode_length * settings.memory_iterations
-    if steps >= 2**31:
-        raise UserError(f"{steps} steps in num_directions x memory_iterations: below 2^31 is exact")
+    remembered = 2 * settings.num_directions * settings.memory_iterations
+    require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

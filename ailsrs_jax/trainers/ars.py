@@ -15,8 +15,9 @@ from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
-from ailsrs_jax.trainers.exploration import explore
+from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import action_range
+from ailsrs_jax.trainers.settings import require_countable
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -60,6 +61,9 @@ class Ars(Trainer):
 
     def init(self, key: jax.Array) -> TrainState:
         """The paper's start: all weights zero, no statistics."""
+        return self.devices.split(self._init, EVERYWHERE, EVERYWHERE)(key)
+
+    def _init(self, key: jax.Array) -> TrainState:
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         statistics = normalizer.init(self.env.observation_size)
         return TrainState(
@@ -117,13 +121,13 @@ class Ars(Trainer):
         )
         evaluation = batch.episodes(0, num_evaluations)
         # Beside other episodes on each device, which can change the last bits.
-        evaluation_return, evaluation_length, evaluation_steps = devices.agree(
-            (evaluation.env_returns.mean(), evaluation.lengths.mean(), evaluation.env_steps)
+        evaluation_return, evaluation_length = devices.agree(
+            (evaluation.env_returns.mean(), evaluation.lengths.mean())
         )
         metrics = {
             "evaluation_return": evaluation_return,
             "evaluation_length": evaluation_length,
-            "env_steps": devices.sum(batch.lengths[num_evaluations:].sum()) + evaluation_steps,
+            **count_episodes(batch, num_evaluations, devices),
         }
         state = TrainState(
             weights=weights,
@@ -149,7 +153,9 @@ def make_ars(
     """See :class:`Ars`.
 
     Raises:
-        UserError: the directions cannot be shared evenly.
+        UserError: the directions cannot be shared evenly, or there are too many steps to count.
     """
+    num_episodes = 2 * settings.num_directions + settings.num_evaluation_episodes
+    require_countable(num_episodes * settings.episode_length)
     devices.require_share(settings.num_directions)
     return Ars(env, settings, devices, rollout_batch_size)

@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep, repeated
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.rollout import action_range, episode_counts, rollout
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -100,7 +101,7 @@ class BehaviorCloning(Trainer):
             "expert_distance": expert.distance(distance_key, evaluation, settings.episode_length),
             "training_loss": self._loss(weights, training),
             "validation_loss": validation_loss,
-            "env_steps": evaluation.env_steps,
+            **episode_counts(evaluation),
         }
         state = TrainState(
             weights=weights,
@@ -141,8 +142,8 @@ class BehaviorCloning(Trainer):
             return (optax.apply_updates(weights, updates), optimizer), None
 
         keys = jax.random.split(key, settings.gradient_steps)
-        carry, _ = jax.lax.scan(adam_step, (weights, optimizer), keys)
-        return carry
+        descended, _ = jax.lax.scan(adam_step, (weights, optimizer), keys)
+        return finite_or(descended, (weights, optimizer))
 
     def _loss(self, weights: jax.Array, mask: jax.Array) -> jax.Array:
         """``()`` mean of ‖M z − a‖² over the steps where ``mask (E, T)`` is true."""

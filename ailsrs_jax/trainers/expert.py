@@ -51,7 +51,8 @@ class Expert(struct.PyTreeNode):
 
         Args:
             key: of the draws.
-            episodes: the episodes; what the environment paid is not looked at.
+            episodes: the episodes; what the environment paid is not looked at. One that diverged
+                counts as one that ended at once.
             episode_length: their time limit.
         """
         horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
@@ -59,7 +60,7 @@ class Expert(struct.PyTreeNode):
         # Actions are compared where the expert's are known.
         actions = episodes.actions[..., : self.actions.shape[-1]]
         points = jnp.concatenate([self.standardize(episodes.observations), actions], axis=-1)
-        features = distance_features(key, points, episodes.lengths, horizon, num_samples)
+        features = distance_features(key, points, episodes.usable_lengths, horizon, num_samples)
         return energy_distance(features, self.distance_features, self.distance_spread)
 
 

@@ -7,7 +7,7 @@ from ailsrs_jax.components import random_search
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers.devices import Devices
-from ailsrs_jax.trainers.rollout import Rollout, rollout
+from ailsrs_jax.trainers.rollout import Rollout, episode_counts, rollout
 
 
 def explore(
@@ -51,3 +51,20 @@ def explore(
         episode_length,
         batch_size,
     )
+
+
+def count_episodes(
+    batch: Rollout, num_evaluation_episodes: int, devices: Devices
+) -> dict[str, jax.Array]:
+    """:func:`~ailsrs_jax.trainers.rollout.episode_counts` of what :func:`explore` gave, all of it.
+
+    The evaluation episodes are the same on every device, and count once.
+    """
+    evaluation, exploration = (
+        episode_counts(episodes)
+        for episodes in (
+            batch.episodes(0, num_evaluation_episodes),
+            batch.episodes(num_evaluation_episodes),
+        )
+    )
+    return jax.tree.map(jnp.add, devices.sum(exploration), devices.agree(evaluation))

@@ -9,6 +9,7 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer, trpo
+from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.policy import KeptPolicy, keep, perceptron
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
@@ -23,7 +24,9 @@ from ailsrs_jax.trainers.actor_critic import (
     gaussian_policy,
     make_actor_critic,
     merge_states,
+    over_updates,
     require_batches,
+    with_evaluation,
 )
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.expert import Expert, make_expert
@@ -108,7 +111,6 @@ class Gail(Trainer):
             (state.actor_critic, state.episodes, state.adversary),
             jax.random.split(updates_key, settings.updates_per_iteration),
         )
-        env_steps = settings.updates_per_iteration * settings.policy_steps * settings.batch_size
         state = TrainState(
             actor_critic=actor_critic,
             episodes=episodes,
@@ -117,8 +119,7 @@ class Gail(Trainer):
             key=key,
             iteration=state.iteration + 1,
         )
-        averages = jax.tree.map(jnp.mean, metrics)
-        return state, evaluated | averages | {"env_steps": env_steps + evaluated["env_steps"]}
+        return state, with_evaluation(over_updates(metrics), evaluated)
 
     @property
     def _adversary(self) -> Adversary:
@@ -156,7 +157,7 @@ class Gail(Trainer):
             return jax.random.choice(key, latest, (size,)), jnp.ones(size, bool)
 
         adversary, adversary_metrics = self._adversary.train(adversary, adversary_key, sample)
-        metrics = jax.tree.map(jnp.mean, metrics) | adversary_metrics
+        metrics = over_updates(metrics) | adversary_metrics
         return (actor_critic, episodes, adversary), metrics
 
     def _inputs(self, steps: Steps) -> jax.Array:
@@ -188,8 +189,8 @@ def clone(
         return (optax.apply_updates(actor, updates), optimizer), None
 
     keys = jax.random.split(key, settings.behavior_cloning_steps)
-    (actor, _), _ = jax.lax.scan(adam_step, (actor, adam.init(actor)), keys)
-    return actor
+    (cloned, _), _ = jax.lax.scan(adam_step, (actor, adam.init(actor)), keys)
+    return finite_or(cloned, actor)
 
 
 def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) -> Gail:
@@ -199,7 +200,7 @@ def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) 
         UserError: the batch cannot be shared evenly by the environments, or the demonstrations do
             not hold what the settings need.
     """
-    require_batches(settings)
+    require_batches(settings, settings.policy_steps)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

@@ -9,6 +9,7 @@ from flax import struct
 
 from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.divergence import has_diverged
 
 # Once no episode waits and at most one slot in so many is busy, the rest is simulated in only
 # those. Every width is one more copy of the physics to compile, so there are two.
@@ -18,33 +19,43 @@ SLICE_LENGTH = 50  # steps of all episodes that are looked at together
 
 
 class Rollout(struct.PyTreeNode):
-    """B episodes of at most T steps; steps after an episode's end are zeros."""
+    """B episodes of at most T steps; steps after an episode's end are zeros.
+
+    An episode that diverges ends with the last step of which all numbers are finite. What led up
+    to that can be as absurd as what followed, so nothing is to be learned from any of its steps.
+    """
 
     observations: jax.Array  # (B, T, n), what the policy saw
     actions: jax.Array  # (B, T, p), what it did, clipped to the actuators' range
-    env_rewards: jax.Array  # (B, T), what the environment paid for it
-    lengths: jax.Array  # (B,) int32, steps until the episode ended, at least 1
+    env_rewards: jax.Array  # (B, T), what the environment paid for it; NaN for a step that diverged
+    lengths: jax.Array  # (B,) int32, steps until the episode ended
+    diverged: jax.Array  # (B,) bool, it ended because the next step was not finite
     slot_steps: jax.Array  # () int32, steps of the slots that simulated it, busy or idle
 
     @property
+    def usable_lengths(self) -> jax.Array:
+        """``(B,)`` int32, steps to learn from: none of an episode that diverged."""
+        return jnp.where(self.diverged, 0, self.lengths)
+
+    @property
     def alive(self) -> jax.Array:
-        """``(B, T)`` bool: the step happened."""
+        """``(B, T)`` bool: the step happened, and is to be learned from."""
         return self.alive_from(0)
 
     def alive_from(self, first: int) -> jax.Array:
-        """``(B, T)`` bool: the step happened, in an episode from number ``first`` on."""
+        """``(B, T)`` bool: :attr:`alive`, in an episode from number ``first`` on."""
         num_episodes, num_steps, _ = self.observations.shape
-        counted = jnp.where(jnp.arange(num_episodes) < first, 0, self.lengths)
+        counted = jnp.where(jnp.arange(num_episodes) < first, 0, self.usable_lengths)
         return jnp.arange(num_steps) < counted[:, None]
 
     @property
     def env_returns(self) -> jax.Array:
-        """``(B,)`` undiscounted returns of the environment's reward."""
+        """``(B,)`` undiscounted returns of the environment's reward; NaN where it diverged."""
         return self.env_rewards.sum(axis=1)
 
     @property
     def env_steps(self) -> jax.Array:
-        """``()`` live steps simulated."""
+        """``()`` live steps simulated, of all episodes."""
         return self.lengths.sum()
 
     def sum_over_steps(
@@ -80,8 +91,18 @@ class Rollout(struct.PyTreeNode):
             self.actions[start:stop],
             self.env_rewards[start:stop],
             self.lengths[start:stop],
+            self.diverged[start:stop],
             self.slot_steps,
         )
+
+
+def episode_counts(episodes: Rollout) -> dict[str, jax.Array]:
+    """Metrics: the numbers of live steps, of episodes, and of those that diverged."""
+    return {
+        "env_steps": episodes.env_steps,
+        "episodes": jnp.array(len(episodes.diverged)),
+        "diverged": episodes.diverged.sum(),
+    }
 
 
 class Slots(struct.PyTreeNode):
@@ -115,7 +136,8 @@ def rollout(
     With ``batch_size`` slots for more episodes than that, a slot whose episode has ended goes on
     with the next one that waits, as an inference server does with its requests, so that few are
     idle while others are still alive; the episodes are the same. The loop ends when the last
-    episode does.
+    episode does. An episode also ends where it diverges, before the step that is not finite
+    (:mod:`~ailsrs_jax.envs.divergence`).
 
     Under ``jax.vmap`` the new axis is merged into the batch, so that several seeds still are one
     loop with one batch of simulations; XLA's own rule would copy the whole trajectory at every
@@ -150,6 +172,7 @@ def rollout(
             actions=split(merged.actions),
             env_rewards=split(merged.env_rewards),
             lengths=split(merged.lengths),
+            diverged=split(merged.diverged),
             slot_steps=jnp.broadcast_to(merged.slot_steps, axis_size),
         )
         return batch, jax.tree.map(lambda _: True, batch)
@@ -175,6 +198,7 @@ def _simulate(
         actions=jnp.zeros((num_episodes, episode_length, *policies.action_low.shape[1:])),
         env_rewards=jnp.zeros((num_episodes, episode_length)),
         lengths=jnp.zeros(num_episodes, jnp.int32),
+        diverged=jnp.zeros(num_episodes, bool),
         slot_steps=jnp.zeros((), jnp.int32),
     )
     slots = Slots(
@@ -195,20 +219,28 @@ def _simulate(
             inputs.append(noise.at[episode, time].get(mode="clip"))
         actions = jax.vmap(lambda policy, *inputs: policy(*inputs))(acting, *inputs)
         env_state = jax.vmap(env.step)(slots.env_state, actions)
+        diverged = jax.vmap(has_diverged)(slots.env_state, actions, env_state)
+        finite_time = jnp.where(diverged, episode_length, time)  # else nowhere
 
-        def record(buffer: jax.Array, values: jax.Array) -> jax.Array:
+        def record(buffer: jax.Array, values: jax.Array, time: jax.Array) -> jax.Array:
             return buffer.at[episode, time].set(values, mode="drop")
 
         trajectory = Rollout(
-            observations=record(trajectory.observations, slots.env_state.obs),
-            actions=record(trajectory.actions, actions),
-            env_rewards=record(trajectory.env_rewards, env_state.reward),
-            lengths=trajectory.lengths.at[episode].set(time + 1, mode="drop"),
+            observations=record(trajectory.observations, slots.env_state.obs, finite_time),
+            actions=record(trajectory.actions, actions, finite_time),
+            env_rewards=record(
+                trajectory.env_rewards, jnp.where(diverged, jnp.nan, env_state.reward), time
+            ),
+            lengths=trajectory.lengths.at[episode].set(
+                jnp.where(diverged, time, time + 1), mode="drop"
+            ),
+            diverged=trajectory.diverged.at[episode].set(diverged, mode="drop"),
             slot_steps=trajectory.slot_steps + len(episode),
         )
 
         # Whose episode is over goes on with the next that waits, or is idle if there is none.
-        over = (episode < num_episodes) & ((env_state.done != 0) | (time + 1 == episode_length))
+        ended = (env_state.done != 0) | diverged | (time + 1 == episode_length)
+        over = (episode < num_episodes) & ended
         following = jnp.minimum(waiting + jnp.cumsum(over) - 1, num_episodes)
         episode = jnp.where(over, following, episode)
         if not all_at_once:

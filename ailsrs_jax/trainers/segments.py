@@ -6,6 +6,7 @@ from flax import struct
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.divergence import has_diverged
 
 
 class Episodes(struct.PyTreeNode):
@@ -16,7 +17,12 @@ class Episodes(struct.PyTreeNode):
 
 
 class Steps(struct.PyTreeNode):
-    """T consecutive steps of S environments."""
+    """T consecutive steps of S environments.
+
+    Of an episode that diverges nothing is to be learned, as in
+    :class:`~ailsrs_jax.trainers.rollout.Rollout`: in the place of each of its steps there is a copy
+    of one of another episode, which is ``over`` there.
+    """
 
     observations: jax.Array  # (T, S, n)
     drawn_actions: jax.Array  # (T, S, p), whose density the policy knows
@@ -25,6 +31,17 @@ class Steps(struct.PyTreeNode):
     env_rewards: jax.Array  # (T, S)
     terminated: jax.Array  # (T, S) bool, the episode ended in a terminal state
     over: jax.Array  # (T, S) bool, it did or reached its time limit
+    diverged: jax.Array  # (T, S) bool, the episode diverged there
+    copied: jax.Array  # (T, S) bool, the step is a copy of another
+
+    def episode_counts(self) -> dict[str, jax.Array]:
+        """Metrics: the numbers of steps, of episodes that ended, and of those that diverged."""
+        diverged = self.diverged.sum()
+        return {
+            "env_steps": jnp.array(self.over.size),
+            "episodes": jnp.sum(self.over & ~self.copied) + diverged,
+            "diverged": diverged,
+        }
 
 
 def begin(env: Env, key: jax.Array, num_envs: int) -> Episodes:
@@ -55,8 +72,9 @@ def collect(
         drawn_actions = jax.vmap(policy.unclipped)(env_state.obs) + noise
         actions = policy.clip(drawn_actions)
         next_state = jax.vmap(env.step)(env_state, actions)
+        diverged = jax.vmap(has_diverged)(env_state, actions, next_state)
         terminated = next_state.done != 0
-        over = terminated | (time == episode_length)
+        over = terminated | diverged | (time == episode_length)
         steps = Steps(
             observations=env_state.obs,
             drawn_actions=drawn_actions,
@@ -65,6 +83,8 @@ def collect(
             env_rewards=next_state.reward,
             terminated=terminated,
             over=over,
+            diverged=diverged,
+            copied=diverged,
         )
 
         def restart() -> State:
@@ -77,4 +97,33 @@ def collect(
         next_state = jax.lax.cond(over.any(), restart, lambda: next_state)
         return Episodes(next_state, jnp.where(over, 0, time)), steps
 
-    return jax.lax.scan(advance, episodes, jax.random.split(key, num_steps))
+    episodes, steps = jax.lax.scan(advance, episodes, jax.random.split(key, num_steps))
+    return episodes, _replace_diverged(steps)
+
+
+def _replace_diverged(steps: Steps) -> Steps:
+    """Put steps of the other episodes, in turns, in the places of those that diverged."""
+
+    def backwards(
+        later: jax.Array, step: tuple[jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array]:
+        over, diverged = step
+        useless = diverged | (later & ~over)
+        return useless, useless
+
+    useless: jax.Array
+    nowhere = jnp.zeros(steps.over.shape[1:], bool)
+    _, useless = jax.lax.scan(backwards, nowhere, (steps.over, steps.diverged), reverse=True)
+    flat = useless.ravel()
+    useful_first = jnp.argsort(flat, stable=True)
+    turn = (jnp.cumsum(flat) - 1) % jnp.maximum(jnp.sum(~flat), 1)
+    source = jnp.where(flat, useful_first[turn], jnp.arange(len(flat)))
+
+    def copy(x: jax.Array) -> jax.Array:
+        copied = x.reshape(-1, *x.shape[2:])[source].reshape(x.shape)
+        # Where all have diverged there is nothing to copy.
+        return jnp.where(flat.all(), jnp.zeros_like(x), copied)
+
+    return jax.tree.map(copy, steps).replace(
+        over=steps.over | useless, diverged=steps.diverged, copied=useless
+    )

@@ -62,6 +62,15 @@ def validate(settings: Any) -> None:
         )
 
 
+def require_countable(num_steps: int) -> None:
+    """Raise UserError unless 32 bits can count the steps of an iteration, and what it remembers."""
+    if num_steps >= 2**31:
+        raise UserError(
+            f"an iteration of {num_steps} steps, remembered ones included, is too long: they are "
+            "counted in 32 bits, below 2^31"
+        )
+
+
 def _parse(name: str, text: str, kind: Any) -> Any:
     choices = get_args(kind) if get_origin(kind) is Literal else ()
     if choices:

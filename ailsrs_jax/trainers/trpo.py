@@ -18,7 +18,9 @@ from ailsrs_jax.trainers.actor_critic import (
     gaussian_policy,
     make_actor_critic,
     merge_states,
+    over_updates,
     require_batches,
+    with_evaluation,
 )
 from ailsrs_jax.trainers.segments import Episodes
 from ailsrs_jax.trainers.trainer import Trainer
@@ -79,7 +81,6 @@ class Trpo(Trainer):
             (state.actor_critic, state.episodes),
             jax.random.split(updates_key, settings.updates_per_iteration),
         )
-        env_steps = settings.updates_per_iteration * settings.batch_size
         state = TrainState(
             actor_critic=actor_critic,
             episodes=episodes,
@@ -87,8 +88,7 @@ class Trpo(Trainer):
             key=key,
             iteration=state.iteration + 1,
         )
-        averages = jax.tree.map(jnp.mean, metrics)
-        return state, evaluated | averages | {"env_steps": env_steps + evaluated["env_steps"]}
+        return state, with_evaluation(over_updates(metrics), evaluated)
 
 
 def make_trpo(env: Env, settings: TrpoSettings) -> Trpo:

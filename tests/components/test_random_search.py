@@ -74,3 +74,59 @@ def test_climbs_a_linear_slope(scale: bool) -> None:
     # E[(r⁺ − r⁻) δ] = 2 slope; σ of ±gain is ‖slope‖.
     expected = 2 * slope / (jnp.linalg.norm(slope) if scale else 1.0)
     np.testing.assert_allclose(moved, expected, rtol=0.1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    pairs=st.lists(
+        st.tuples(*[st.sampled_from([-2.0, 0.5, 1.0, 3.0, np.nan, np.inf, -np.inf])] * 2),
+        min_size=6,
+        max_size=6,
+    ),
+    num_top=st.integers(1, 6),
+    scale=st.booleans(),
+)
+def test_what_diverged_is_ranked_last_and_counts_as_the_lowest(pairs, num_top, scale) -> None:
+    rng = np.random.default_rng(0)
+    weights, deltas = rng.normal(size=(2, 3)), rng.normal(size=(6, 2, 3))
+    plus, minus = np.array(pairs).T
+    actual = random_search.step(
+        *map(jnp.float32, (weights, deltas, plus, minus)),
+        step_size=0.1,
+        num_top_directions=num_top,
+        scale_by_std=scale,
+    )
+    finite = [x for x in (*plus, *minus) if np.isfinite(x)]
+    if not finite:
+        np.testing.assert_array_equal(actual, jnp.float32(weights))
+        return
+    # Those where both diverged come after those where both are the lowest.
+    both = ~np.isfinite(plus) & ~np.isfinite(minus)
+    order = np.argsort(both, kind="stable")
+    plus, minus = (np.where(np.isfinite(x), x, min(finite))[order] for x in (plus, minus))
+    expected = numpy_step(weights, deltas[order], plus, minus, 0.1, num_top, scale)
+    np.testing.assert_allclose(actual, expected, rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -3000.0, 1e20])
+def test_returns_that_differ_by_rounding_teach_nothing(level: float) -> None:
+    weights, deltas = jnp.ones((1, 2)), jnp.ones((4, 1, 2))
+    returns = jnp.nextafter(jnp.full(4, level, jnp.float32), jnp.inf)
+    settings = {"step_size": 1.0, "num_top_directions": 4}
+    moved = random_search.step(
+        weights, deltas, returns, jnp.full(4, level, jnp.float32), **settings
+    )
+    np.testing.assert_array_equal(moved, weights)
+    further = jnp.full(4, level + max(abs(level) * 1e-4, 1e-10), jnp.float32)
+    moved = random_search.step(
+        weights, deltas, further, jnp.full(4, level, jnp.float32), **settings
+    )
+    np.testing.assert_allclose(moved, weights + 2.0, rtol=1e-2)
+
+
+def test_a_step_that_is_not_finite_is_not_taken() -> None:
+    weights, deltas, returns = jnp.ones((1, 2)), jnp.ones((1, 1, 2)), jnp.full(1, 3e38)
+    moved = random_search.step(
+        weights, deltas, returns, -returns, step_size=1.0, num_top_directions=1, scale_by_std=False
+    )
+    np.testing.assert_array_equal(moved, weights)

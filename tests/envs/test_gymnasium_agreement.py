@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.policies import expert_path, load_policy
-from ailsrs_jax.envs.mujoco_task import MujocoTask, without_warnings
+from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import ENGINES, PhysicsState
+from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, make_env
 
 WITH_EXPERT = [env_id for env_id in TASKS if env_id not in ("Ant-v5", "Humanoid-v5")]

@@ -10,6 +10,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.envs import State
+from tests.exploding import ExplodingPointMass
 from tests.point_mass import EPISODE_LENGTH, PointMass
 
 # Brax's own.
@@ -89,6 +90,17 @@ def test_evolution_learns_and_its_last_policy_is_saved(env: PointMass, tmp_path:
     saved = ail.load_policy(path)
     np.testing.assert_array_equal(saved(np.zeros(2)), expert(np.zeros(2)))
     assert not saved.is_stochastic
+
+
+@pytest.mark.slow
+def test_ppo_lives_with_episodes_that_diverge() -> None:
+    reports: list[Any] = []
+    settings = SMALL | {"num_env_steps": 40_000, "num_evaluations": 4}
+    expert = ail.train_expert(ExplodingPointMass(0.05), watch=reports.append, **settings)
+    assert isinstance(expert, ail.SavedMlpPolicy)  # which are finite
+    assert len(reports) == 4
+    with pytest.raises(ail.UserError, match=r"^stopped: 8 of 8 episodes of"):
+        ail.train_expert(ExplodingPointMass(1.0), **settings)
 
 
 def test_mistakes() -> None:

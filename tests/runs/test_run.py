@@ -106,6 +106,17 @@ def test_interrupted_and_resumed_is_bitwise_the_same(
     assert resumed.kept_iterations == result.kept_iterations
 
 
+def test_the_same_command_gives_the_same_bits(
+    finished: tuple[Path, run.Result], tmp_path: Path
+) -> None:
+    """Compiled anew, and on the C engine, whose threads take simulations as they come."""
+    directory, _ = finished
+    run.execute(make_plan(), tmp_path / "again")
+    names = ("metrics.csv", "config.json", "seed_0/policy.npz", "seed_5/policy.npz")
+    for name in names:
+        assert (tmp_path / "again" / name).read_bytes() == (directory / name).read_bytes(), name
+
+
 def test_resuming_a_finished_run_changes_nothing(
     finished: tuple[Path, run.Result], tmp_path: Path
 ) -> None:

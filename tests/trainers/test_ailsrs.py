@@ -128,7 +128,9 @@ def test_reward_of_a_rollout_in_closed_form(
     observations = np.random.default_rng(0).normal(size=(5, 120, 2)).astype(np.float32)
     actions = np.random.default_rng(1).normal(size=(5, 120, 1)).astype(np.float32)
     episodes = Rollout(
-        *map(jnp.asarray, (observations, actions, actions[..., 0], lengths, lengths.sum()))
+        *map(jnp.asarray, (observations, actions, actions[..., 0], lengths)),
+        diverged=jnp.zeros(5, bool),
+        slot_steps=lengths.sum(),
     )
     returns = trainer._imitation_returns(adversary, episodes)
     logit = functools.partial(Discriminator().apply, adversary.parameters)

@@ -38,7 +38,9 @@ def distance(demonstrations: Demonstrations, policy: Demonstrations, time_limit:
     )
     lengths = jnp.minimum(policy.lengths, time_limit)
     rewards = jnp.zeros(actions.shape[:2])
-    episodes = Rollout(observations, actions, rewards, lengths, lengths.sum())
+    episodes = Rollout(
+        observations, actions, rewards, lengths, jnp.zeros(lengths.shape, bool), lengths.sum()
+    )
     return float(expert.distance(jax.random.key(1), episodes, time_limit))
 
 

@@ -44,5 +44,6 @@ class Physics(Protocol):
         """Advance ``frame_skip`` physics steps under the constant controls ``ctrl (nu,)``.
 
         ``live`` is a boolean scalar: an engine may leave a simulation that is not live as it is.
+        A simulation that MuJoCo finds unstable is not reset: sooner or later its state is NaN.
         """
         ...

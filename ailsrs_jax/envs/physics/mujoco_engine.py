@@ -1,7 +1,7 @@
 """MuJoCo's own C engine, one thread per core, called from inside a jitted program."""
 
+import copy
 import os
-import threading
 
 import jax
 import mujoco
@@ -9,6 +9,7 @@ import numpy as np
 
 from ailsrs_jax.envs.physics.base import PhysicsState
 from ailsrs_jax.envs.physics.mujoco_pools import Readings, RolloutPool, SteppingPool
+from ailsrs_jax.envs.physics.quiet import without_warnings
 
 HostState = tuple[np.ndarray, np.ndarray, np.ndarray, Readings]  # a PhysicsState in NumPy
 
@@ -25,6 +26,9 @@ class MujocoPhysics:
 
     Of ``PhysicsState``, ``carry`` holds the bits of MuJoCo's float64 state as pairs of uint32, so
     that nothing is rounded between steps although JAX computes in float32.
+
+    MuJoCo, left to itself, sets a simulation that it finds unstable back to the model's initial
+    pose and goes on. Here all of its state is NaN from then on.
     """
 
     name = "mujoco"
@@ -32,7 +36,8 @@ class MujocoPhysics:
     def __init__(
         self, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
     ) -> None:
-        self.model = model
+        model = self.model = copy.copy(model)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.frame_skip = frame_skip
         self.readings = readings
         num_threads = available_cores()
@@ -41,7 +46,6 @@ class MujocoPhysics:
             if readings
             else RolloutPool(model, frame_skip, num_threads)
         )
-        self._lock = threading.Lock()  # programs on two Python threads may share this engine
         self._state_size = mujoco.mj_stateSize(model, self._pool.state_spec)
         data = mujoco.MjData(model)
         self._reading_shapes = {name: getattr(data, name).shape for name in readings}
@@ -83,7 +87,7 @@ class MujocoPhysics:
             name: np.zeros((*batch_shape, *shape), np.float32)
             for name, shape in self._reading_shapes.items()
         }
-        with self._lock:
+        with without_warnings():
             self._pool.start(*self._rows(full_state, readings))
         return self._unpack(full_state, readings)
 
@@ -99,9 +103,20 @@ class MujocoPhysics:
         rows = np.flatnonzero(np.asarray(live))
         if rows.size:
             controls = np.asarray(ctrl, np.float64).reshape(-1, self.model.nu)
-            with self._lock:
-                self._pool.step(rows, controls, *self._rows(full_state, new_readings))
+            states, reading_rows = self._rows(full_state, new_readings)
+            start_times = states[rows, 0]
+            # Programs on two Python threads may share this engine: this is one at a time, too.
+            with without_warnings():
+                self._pool.step(rows, controls, states, reading_rows)
+            states[rows[self._is_unstable(states[rows], start_times)]] = np.nan
         return self._unpack(full_state, new_readings)
+
+    def _is_unstable(self, states: np.ndarray, start_times: np.ndarray) -> np.ndarray:
+        """``(B,)`` bool: MuJoCo did not simulate all steps, or would not simulate another."""
+        due = start_times + (self.frame_skip - 0.5) * self.model.opt.timestep
+        moving = states[:, 1 : 1 + self.model.nq + self.model.nv]
+        # Of NaN no comparison is true.
+        return ~((states[:, 0] > due) & np.all(np.abs(moving) <= mujoco.mjMAXVAL, axis=1))
 
     def _rows(self, full_state: np.ndarray, readings: Readings) -> tuple[np.ndarray, Readings]:
         """One row for each simulation: views, so that what is written reaches the arguments."""

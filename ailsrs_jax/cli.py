@@ -1,4 +1,4 @@
-"""The command line: ``ailsrs train | evaluate | demonstrate | expert | benchmark``.
+"""The command line: ``ailsrs train | sweep | evaluate | demonstrate | expert | benchmark``.
 
 Whatever takes long to import is imported by the command that needs it, so that help and mistakes
 answer at once.
@@ -20,6 +20,7 @@ from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.sweep_cli import sweep
 from ailsrs_jax.versions import VersionError
 
 app = tyro.extras.SubcommandApp()
@@ -129,6 +130,9 @@ def train(
     except ImportError:
         console.print("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
     console.print(f"policies, metrics and training curve are in {escape(str(output))}")
+
+
+app.command(sweep)
 
 
 @app.command

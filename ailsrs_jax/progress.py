@@ -17,6 +17,9 @@ from rich.table import Table
 from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.evaluation import evaluate
 from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
+from ailsrs_jax.runs.sweep_spec import Cell
+from ailsrs_jax.runs.sweep_tables import DONE, TableRow
 from ailsrs_jax.runs.tracking import IterationReport
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
@@ -59,6 +62,78 @@ class RunProgress:
             self._progress.update(self._task, completed=done, description=text)
         elif report.is_last or done % max(total // LINES_IN_A_LOG, 1) == 0:
             self._console.print(f"{done}/{total}  {text}", soft_wrap=True, highlight=False)
+
+
+class SweepProgress:
+    """Shows how a sweep goes; a context manager, and the ``watch`` of a sweep.
+
+    A bar for all of it, in which a cell weighs as much as the steps it is estimated to take, and
+    one for what is trained; in a log, a line for each cell that ends.
+    """
+
+    def __init__(self, console: Console, cells: Sequence[Cell], num_finished: int) -> None:
+        """Of the ``cells`` that are still to be trained, beside the finished ones."""
+        self._console = console
+        self._steps = {cell.name: estimated_env_steps(cell) for cell in cells}
+        self._counts = {"finished": num_finished, "failed": 0}
+        self._num_cells = len(cells) + num_finished
+        self._before = 0.0  # estimated steps of what has ended
+        self._running: Sequence[Cell] = ()
+        self._progress = Progress(
+            BarColumn(bar_width=16),
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=3600.0,  # cells differ
+        )
+        self._all = self._progress.add_task(self._summary(), total=sum(self._steps.values()))
+        self._current = self._progress.add_task("", visible=False)
+
+    def __enter__(self) -> "SweepProgress":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def begin(self, cells: Sequence[Cell]) -> None:
+        """These cells are trained from now on, together."""
+        self._running = cells
+        self._progress.reset(self._current, description=self._name(), visible=True)
+        self._progress.update(self._all, description=self._summary())
+
+    def __call__(self, report: IterationReport) -> None:
+        """Show one iteration of them."""
+        done, total = report.iteration + 1, report.num_iterations
+        text = f"{self._name()} · {done}/{total} · {describe(report)}"
+        self._progress.update(self._current, completed=done, total=total, description=text)
+        steps = sum(self._steps[cell.name] for cell in self._running)
+        self._progress.update(self._all, completed=self._before + steps * done / total)
+
+    def end(self, row: TableRow) -> None:
+        """A cell is finished, or has failed."""
+        done = row["status"] == DONE
+        self._counts["finished" if done else "failed"] += 1
+        self._before += self._steps[row["cell"]]
+        self._running = [cell for cell in self._running if cell.name != row["cell"]]
+        self._progress.update(self._all, completed=self._before, description=self._summary())
+        self._progress.update(self._current, visible=bool(self._running))
+        text = (
+            f"return {row['return_mean']:.0f} ± {row['return_std']:.0f}" if done else row["status"]
+        )
+        count = f"{sum(self._counts.values())}/{self._num_cells}"
+        self._console.print(
+            f"{count}  {row['cell']}  {text}", soft_wrap=True, highlight=False, markup=False
+        )
+
+    def _name(self) -> str:
+        first, *others = (cell.name for cell in self._running)
+        return f"{first} and {len(others)} others" if others else first
+
+    def _summary(self) -> str:
+        counts = self._counts | {"running": len(self._running)}
+        return f"{self._num_cells} cells: " + ", ".join(f"{n} {what}" for what, n in counts.items())
 
 
 def describe(report: IterationReport) -> str:

@@ -39,6 +39,7 @@ def iterate(
         state, device_metrics = compiled(state)
         metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
         finished = _finished(state)
+        seconds = time.perf_counter() - started
         live_steps = metrics["env_steps"].astype(np.int64)  # exact beyond what int32 can count
         env_steps = env_steps + live_steps
         yield (
@@ -47,7 +48,8 @@ def iterate(
                 iteration=iteration,
                 num_iterations=num_iterations,
                 metrics=metrics | {"env_steps": env_steps},
-                env_steps_per_second=live_steps.sum() / (time.perf_counter() - started),
+                seconds=seconds,
+                env_steps_per_second=live_steps.sum() / seconds,
                 compile_seconds=compile_seconds,
                 finished=finished,
             ),

@@ -1,0 +1,208 @@
+"""Sweeps of tiny cells: expanded and checked first, finished once, and never lost."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.runs.sweep_spec import expand, load_sweep, read_spec
+from tests.point_mass import PointMass, point_mass_demonstrations
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+POINT_MASS = "tests.point_mass:PointMass"
+TINY = {
+    "num_iterations": 3,
+    "episode_length": 20,
+    "num_directions": 4,
+    "num_top_directions": 2,
+    "num_distance_samples": 50,
+    "discriminator_batch_size": 16,
+    "memory_samples": 16,
+}
+
+
+@pytest.fixture
+def demonstrations(in_tmp_path: Path) -> str:
+    """A file of the point mass's."""
+    recorded = point_mass_demonstrations(PointMass())
+    save_demonstrations(recorded.replace(env_id=POINT_MASS), "point_mass.npz")
+    return "point_mass.npz"
+
+
+def grid(demonstrations: str, **entry: Any) -> dict[str, Any]:
+    return {
+        "episodes": 2,
+        "env": POINT_MASS,
+        "demonstrations": demonstrations,
+        "settings": TINY,
+        "grid": [entry],
+    }
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_list_is_an_axis(demonstrations: str) -> None:
+    spec = grid(demonstrations, num_trajectories=[1, 8], seeds=[3, 0], label="ours")
+    spec["grid"].append(
+        {"algorithm": "bc", "settings": {"solver": ["adam", "ridge"], "num_iterations": 1}}
+    )
+    spec["settings"] = {"num_distance_samples": 50}
+    cells = expand(spec).cells
+    assert [(cell.label, cell.num_trajectories, cell.seed) for cell in cells[:4]] == [
+        ("ours", 1, 3),
+        ("ours", 1, 0),
+        ("ours", 8, 3),
+        ("ours", 8, 0),
+    ]
+    assert cells[0].settings == {"num_distance_samples": "50"}
+    assert [(cell.label, cell.settings) for cell in cells[4:]] == [
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1"}),
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1", "solver": "ridge"}),
+    ]
+    assert len({cell.name for cell in cells}) == 6
+
+
+def test_a_cell_is_called_the_same_whatever_is_beside_it(demonstrations: str) -> None:
+    alone = expand(grid(demonstrations)).cells[0]
+    assert expand(grid(demonstrations, label="ours", seeds=[1, 0])).cells[1].name == alone.name
+    assert "/" not in alone.name
+    assert ":" not in alone.name
+    assert len(alone.name) < 130
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "the sweep: there is no key 'seed': use one of algorithm": {"seed": 1},
+    "episodes is 0: it must be": {"episodes": 0},
+    "no [[grid]] entry": {"grid": []},
+    "grid entry 2: there is no key 'algorithms'": {"grid": [{}, {"algorithms": "bc"}]},
+    "grid entry 1: seeds is '1': it must be a whole number": {"grid": [{"seeds": ["1"]}]},
+    "grid entry 1: seeds is True": {"grid": [{"seeds": True}]},
+    "grid entry 1: seeds holds the same value twice": {"grid": [{"seeds": [1, 1]}]},
+    "grid entry 1: env is an empty list": {"grid": [{"env": []}]},
+    "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
+    "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
+    "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
+    "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
+        "grid": [{}, {"label": "x", "env": "hoper"}]
+    },
+    "grid entry 1 (sac, ": {"grid": [{"algorithm": ["ailsrs", "sac"]}]},
+    "there is no setting 'nose_std'": {"grid": [{"settings": {"nose_std": 1}}]},
+    "noise_std is -1.0: it must be positive": {"grid": [{"settings": {"noise_std": [1, -1]}}]},
+    "seed is -1: it must be from 0": {"grid": [{"seeds": [0, -1]}]},
+    "hold 8": {"grid": [{"num_trajectories": 9}]},
+    "is already in grid entry 1 (a)": {"grid": [{"label": "a"}, {"preset": "tuned"}]},
+    # What only the trainer knows.
+    "batch_size is 7: it must be a multiple": {
+        "settings": {},
+        "grid": [{"algorithm": "gail", "settings": {"batch_size": 7}}],
+    },
+    "ars learns from the environment's reward": {
+        "settings": {},
+        "grid": [{"algorithm": ["ailsrs", "ars"]}],
+    },
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_mistake_anywhere_is_found_before_anything_runs(
+    message: str, demonstrations: str
+) -> None:
+    spec = grid(demonstrations) | WRONG[message]
+    with pytest.raises(ail.UserError) as caught:
+        ail.sweep(spec, "sweep")
+    assert message in str(caught.value)
+    assert not Path("sweep").exists()
+
+
+def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
+    Path("broken.toml").write_text("[[grid")
+    for path, message in {
+        "missing.toml": "no such file",
+        "broken.toml": "is not TOML",
+        ".": "cannot read",
+    }.items():
+        with pytest.raises(ail.UserError, match=message):
+            ail.sweep(path, "sweep")
+    Path("sweep").mkdir()
+    Path("sweep/sweep.json").write_text("{}")
+    with pytest.raises(ail.UserError, match="it is no sweep's, or damaged"):
+        load_sweep(Path("sweep/sweep.json"))
+
+
+@pytest.mark.slow  # rolls out the shipped experts
+@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 78)])
+def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
+    assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells
+
+
+class Watch:
+    """Notes what it is told, and raises ``error`` before the report of a given number."""
+
+    def __init__(self, error: BaseException | None = None, at: int = 0) -> None:
+        self.error, self.at = error, at
+        self.begun: list[str] = []
+        self.rows: list[Any] = []
+        self.num_reports = 0
+
+    def begin(self, cells: Any) -> None:
+        self.begun += [cell.name for cell in cells]
+
+    def __call__(self, report: Any) -> None:
+        if self.num_reports == self.at and self.error is not None:
+            raise self.error
+        self.num_reports += 1
+
+    def end(self, row: Any) -> None:
+        self.rows.append(row)
+
+
+def test_cells_are_skipped_resumed_and_retried(demonstrations: str) -> None:
+    """To the same tables, byte for byte."""
+    spec = grid(demonstrations, seeds=[0, 1], settings={"num_iterations": 12})
+    whole = ail.sweep(spec, "whole")
+    names = [row["cell"] for row in whole]
+
+    # Stopped in the second cell, one iteration after its checkpoint.
+    stopped = Watch(KeyboardInterrupt(), at=12 + 10)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "stopped", watch=stopped)
+    assert [row["cell"] for row in table(Path("stopped/results.csv"))] == names[:1]
+    resumed = Watch()
+    assert ail.sweep(spec, "stopped", watch=resumed) == whole
+    assert (resumed.begun, resumed.num_reports) == (names[1:], 2)
+
+    # Failed in the first cell.
+    failing = Watch(RuntimeError("no\nmemory"), at=3)
+    rows = ail.sweep(spec, "failed", watch=failing)
+    assert [row["status"] for row in rows] == ["failed: RuntimeError: no", "done"]
+    assert failing.rows == rows
+    assert [row["status"] for row in table(Path("failed/results.csv"))] == [
+        row["status"] for row in rows
+    ]
+    assert ail.sweep(spec, "failed") == whole
+
+    again = Watch()
+    ail.sweep(spec, "whole", watch=again)
+    assert again.begun == []
+    for name in ("results.csv", "curves.csv"):
+        for other in ("stopped", "failed"):
+            assert Path(other, name).read_bytes() == Path("whole", name).read_bytes()
+
+
+def test_another_sweep_is_not_mixed_in(demonstrations: str) -> None:
+    ail.sweep(grid(demonstrations), "sweep")
+    calls = {
+        "1 cells are new, ": grid(demonstrations, seeds=[0, 1]),
+        "label of ": grid(demonstrations, label="ours"),
+        "episodes is 3, was 2": grid(demonstrations) | {"episodes": 3},
+    }
+    for message, spec in calls.items():
+        with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
+            ail.sweep(spec, "sweep")
+        assert message in str(caught.value)

@@ -1,4 +1,4 @@
-"""The command line: ``ailsrs train | sweep | evaluate | demonstrate | expert | benchmark``.
+"""The command line: ``ailsrs train | sweep | merge | evaluate | demonstrate | …``.
 
 Whatever takes long to import is imported by the command that needs it, so that help and mistakes
 answer at once.
@@ -20,7 +20,7 @@ from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.sweep_cli import sweep
+from ailsrs_jax.sweep_cli import merge, sweep
 from ailsrs_jax.versions import VersionError
 
 app = tyro.extras.SubcommandApp()
@@ -133,6 +133,7 @@ def train(
 
 
 app.command(sweep)
+app.command(merge)
 
 
 @app.command

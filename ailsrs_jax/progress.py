@@ -1,6 +1,8 @@
 """What a person sees of a run: a live line, or a plain one now and then in a log; and tables."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -17,7 +19,8 @@ from rich.table import Table
 from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.evaluation import evaluate
 from ailsrs_jax.runs.run import Result
-from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
+from ailsrs_jax.runs.sweep import Unit, is_done
+from ailsrs_jax.runs.sweep_estimate import estimate, estimated_env_steps
 from ailsrs_jax.runs.sweep_spec import Cell
 from ailsrs_jax.runs.sweep_tables import DONE, TableRow
 from ailsrs_jax.runs.tracking import IterationReport
@@ -71,12 +74,14 @@ class SweepProgress:
     one for what is trained; in a log, a line for each cell that ends.
     """
 
-    def __init__(self, console: Console, cells: Sequence[Cell], num_finished: int) -> None:
-        """Of the ``cells`` that are still to be trained, beside the finished ones."""
+    def __init__(self, console: Console, units: Sequence[Unit], output: Path) -> None:
+        """Of the ``units``, of which some may be finished in the directory ``output``."""
         self._console = console
-        self._steps = {cell.name: estimated_env_steps(cell) for cell in cells}
-        self._counts = {"finished": num_finished, "failed": 0}
-        self._num_cells = len(cells) + num_finished
+        cells = [cell for unit in units for cell in unit]
+        left = [cell for cell in cells if not is_done(output, cell)]
+        self._steps = {cell.name: estimated_env_steps(cell) for cell in left}
+        self._counts = {"finished": len(cells) - len(left), "failed": 0}
+        self._num_cells = len(cells)
         self._before = 0.0  # estimated steps of what has ended
         self._running: Sequence[Cell] = ()
         self._progress = Progress(
@@ -106,6 +111,9 @@ class SweepProgress:
     def __call__(self, report: IterationReport) -> None:
         """Show one iteration of them."""
         done, total = report.iteration + 1, report.num_iterations
+        if len(self._running) > 1:  # their average
+            means = {name: values.mean(keepdims=True) for name, values in report.metrics.items()}
+            report = dataclasses.replace(report, metrics=means)
         text = f"{self._name()} · {done}/{total} · {describe(report)}"
         self._progress.update(self._current, completed=done, total=total, description=text)
         steps = sum(self._steps[cell.name] for cell in self._running)
@@ -188,3 +196,31 @@ def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, 
     for name, ratio in ratios.items():
         table.add_row(name, f"{ratio:.2f}")
     console.print(table)
+
+
+def print_estimate(console: Console, units: Sequence[Unit]) -> None:
+    """The table of ``ailsrs sweep --dry-run``."""
+    columns = ("algorithm", "environment", "physics", "cells", "programs", "steps, at most")
+    table = Table(*columns, "memory", "physics alone", box=None)
+    estimates = estimate(units)
+    for row in estimates:
+        table.add_row(
+            row.algorithm,
+            row.env_id,
+            row.engine,
+            str(row.num_cells),
+            str(row.num_programs),
+            f"{row.env_steps / 1e6:,.1f} M",
+            f"{row.memory_bytes / 2**20:,.0f} MB",
+            "" if row.seconds is None else f"{row.seconds / 60:,.0f} min",
+        )
+    console.print(table)
+    steps = sum(row.env_steps for row in estimates) / 1e6
+    text = (
+        f"to train: {sum(row.num_cells for row in estimates)} cells in "
+        f"{sum(row.num_programs for row in estimates)} programs, at most {steps:,.1f} M steps"
+    )
+    seconds = [row.seconds for row in estimates if row.seconds is not None]
+    if seconds:
+        text += f", {sum(seconds) / 3600:,.1f} h for their physics alone on this machine"
+    console.print(text, soft_wrap=True, highlight=False)

@@ -233,7 +233,7 @@ def execute(
     trainer = plan.make_trainer()
     if output is not None:
         with together(config.fingerprint()):
-            _prepare_directory(output, config, resume)
+            prepare_directory(output, config, resume)
     elif resume:
         raise UserError("resume needs output, the directory of the run to go on with")
     init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
@@ -285,7 +285,12 @@ def execute(
     )
 
 
-def _prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
+def prepare_directory(output: Path, config: RunConfig, resume: bool) -> None:
+    """Begin a run directory, or check that it is this run's.
+
+    Raises:
+        UserError: it holds another run, or cannot be written.
+    """
     config_path = output / "config.json"
     if resume:
         config.require_same(config_path)

@@ -17,6 +17,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import RunConfig, require_seed
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.run import Plan, make_plan
+from ailsrs_jax.runs.stacking import stack_key
 
 # Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
 # a list, whose elements are tried in turn. ``settings`` is a table of such values.
@@ -60,6 +61,8 @@ class Cell:
     num_trajectories: int | None  # None where there are none
     subsample: int
     physics: str  # as asked for
+    engine: str  # what that means here
+    program: str  # cells with the same one can be trained together
     seed: int
 
     def make_plan(self) -> Plan:
@@ -95,12 +98,13 @@ class Sweep:
             UserError: there is another one, or it cannot be written.
         """
         if path.exists():
-            self._require_same(path)
+            self.require_same(path)
             return
         text = json.dumps(dataclasses.asdict(self), indent=1)
         write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
 
-    def _require_same(self, path: Path) -> None:
+    def require_same(self, path: Path) -> None:
+        """Raise UserError, naming some differences, unless ``path`` holds this sweep."""
         saved = load_sweep(path)
         here, there = ({cell.name: cell for cell in sweep.cells} for sweep in (self, saved))
         differences = [
@@ -253,6 +257,8 @@ def _check_group(
         num_trajectories=config.num_trajectories,
         subsample=point["subsample"],
         physics=point["physics"],
+        engine=config.physics,
+        program=hashlib.sha256(repr(stack_key(plan)).encode()).hexdigest()[:12],
         seed=0,
     )
     for seed in seeds:

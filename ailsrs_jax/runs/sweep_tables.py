@@ -16,7 +16,6 @@ from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.config import RunConfig
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.run import NUM_TRAJECTORIES, Result
@@ -61,10 +60,9 @@ class Stopwatch:
             file.write(f"{','.join(map(str, values))}\n")
 
 
-def finished_row(
-    cell: Cell, config: RunConfig, result: Result, directory: Path, episodes: int
-) -> TableRow:
+def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
     """What ``results.csv`` says of a cell that is trained; its policy is evaluated here."""
+    config = result.config
     header, *rows = read_rows(directory / "metrics.csv")
     columns = dict(zip(header, np.array(rows, float).T, strict=True))
     returns, steps = columns["evaluation_return"], columns["env_steps"]
@@ -79,7 +77,7 @@ def finished_row(
     normalized = None
     if expert is not None and expert != random:
         normalized = (evaluation.mean - random) / (expert - random)
-    return cell_columns(cell, config.physics) | {
+    return cell_columns(cell) | {
         "iterations": len(rows),
         "env_steps": int(steps[-1]),
         "kept_iteration": result.kept_iterations[cell.seed],
@@ -99,10 +97,10 @@ def finished_row(
 
 def failed_row(cell: Cell, reason: str) -> TableRow:
     """What ``results.csv`` says of a cell that could not be trained."""
-    return cell_columns(cell, cell.physics) | {"status": f"failed: {' '.join(reason.split())}"}
+    return cell_columns(cell) | {"status": f"failed: {' '.join(reason.split())}"}
 
 
-def cell_columns(cell: Cell, engine: str) -> dict[str, Any]:
+def cell_columns(cell: Cell) -> dict[str, Any]:
     """What is known of a cell before it runs."""
     return {
         "cell": cell.name,
@@ -113,7 +111,7 @@ def cell_columns(cell: Cell, engine: str) -> dict[str, Any]:
         "settings": ";".join(f"{name}={value}" for name, value in cell.settings.items()),
         "num_trajectories": cell.num_trajectories,
         "seed": cell.seed,
-        "physics": engine,
+        "physics": cell.engine,
     }
 
 

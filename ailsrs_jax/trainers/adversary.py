@@ -15,6 +15,7 @@ from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.expert import Expert
+from ailsrs_jax.trainers.settings import is_used
 
 # Draws ``(batch, d)`` inputs of the policy's steps with a key, and says ``(batch)`` bool which of
 # them are on this device.
@@ -86,13 +87,13 @@ class Adversary:
         return self._join(standardize(observations), actions, standardize(next_observations))
 
     def num_seen(self, lengths: jax.Array) -> jax.Array:
-        """How many steps ``(...)`` of episodes can be judged, the first ones, at least one.
+        """How many steps ``(...)`` of episodes can be judged, the first ones, one if there is any.
 
         What follows the last step is not recorded. (Of an episode of one step zeros are taken to
         follow.)
         """
         pairs = self.settings.discriminator_sees == "state_next_state"
-        return jnp.maximum(lengths - 1, 1) if pairs else lengths
+        return jnp.maximum(lengths - 1, jnp.minimum(lengths, 1)) if pairs else lengths
 
     def train(
         self, state: AdversaryState, key: jax.Array, sample: Sampler
@@ -117,13 +118,13 @@ class Adversary:
             pairs = discriminator.LOSSES[settings.discriminator_loss](policy_logits, expert_logits)
             value = mean(pairs)
             total = value
-            if settings.gradient_penalty:
+            if is_used(settings.gradient_penalty):
                 total += settings.gradient_penalty * mean(
                     discriminator.gradient_penalty(
                         logits, policy_inputs, expert_inputs, penalty_key
                     )
                 )
-            if settings.discriminator_entropy_bonus:
+            if is_used(settings.discriminator_entropy_bonus):
                 entropies = jax.tree.map(discriminator.entropy, (policy_logits, expert_logits))
                 bonus = mean((entropies[0] + entropies[1]) / 2.0)
                 total -= settings.discriminator_entropy_bonus * bonus

@@ -4,6 +4,8 @@ import dataclasses
 import math
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import jax
+
 from ailsrs_jax.errors import UserError
 
 POSITIVE = {
@@ -57,6 +59,11 @@ def validate(settings: Any) -> None:
             f"setting num_top_directions is {values['num_top_directions']}: it must be from 1 to "
             f"num_directions, {values['num_directions']}"
         )
+
+
+def is_used(weight: Any) -> bool:
+    """Whether a term with this weight is there at all; a traced one, of stacked runs, is not 0."""
+    return isinstance(weight, jax.core.Tracer) or weight != 0
 
 
 def _parse(name: str, text: str, kind: Any) -> Any:

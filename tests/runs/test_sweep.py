@@ -155,7 +155,8 @@ class Watch:
 
     def __call__(self, report: Any) -> None:
         if self.num_reports == self.at and self.error is not None:
-            raise self.error
+            error, self.error = self.error, None
+            raise error
         self.num_reports += 1
 
     def end(self, row: Any) -> None:

@@ -14,17 +14,22 @@ from ailsrs_jax.runs.stacking import execute_stack, stack_key
 from tests.point_mass import PointMass
 from tests.runs.test_algorithms import TINY
 
+# More of them would make much of a little rounding.
+ONE_STEP = {"conjugate_gradient_steps": 1}
+
 # What differs among the runs of a stack, beside their seeds.
 CHANGES: dict[str, list[dict[str, Any]]] = {
     "ailsrs": [
-        {"num_trajectories": 8},
-        {"num_trajectories": 1, "step_size": 0.05, "noise_std": 0.1},
-        {"num_trajectories": 3, "gradient_penalty": 7.0, "discriminator_learning_rate": 1e-2},
+        {"num_trajectories": 8, "step_size": 0.05, "noise_std": 0.1},
+        {"num_trajectories": 1, "gradient_penalty": 7.0, "discriminator_learning_rate": 1e-2},
     ],
-    "bc": [{"num_trajectories": 8}, {"num_trajectories": 1}, {"learning_rate": 1e-2}],
-    "gail": [{"num_trajectories": 4}, {"max_divergence": 0.05, "discount": 0.9}],
+    "bc": [{"num_trajectories": 8}, {"num_trajectories": 1, "learning_rate": 1e-2}],
+    "gail": [
+        ONE_STEP | {"num_trajectories": 4},
+        ONE_STEP | {"max_divergence": 0.05, "discount": 0.9},
+    ],
     "ars": [{}, {"noise_std": 0.1}],
-    "trpo": [{}, {"value_learning_rate": 1e-2, "advantage_decay": 0.5}],
+    "trpo": [ONE_STEP, ONE_STEP | {"value_learning_rate": 1e-2, "advantage_decay": 0.5}],
 }
 
 

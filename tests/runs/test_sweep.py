@@ -4,11 +4,15 @@ import csv
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.runs.evaluation import evaluate_random
+from ailsrs_jax.runs.sweep import choose_units, merge_sweeps
 from ailsrs_jax.runs.sweep_spec import expand, load_sweep, read_spec
+from ailsrs_jax.runs.sweep_tables import CURVE_COLUMNS, RESULT_COLUMNS, TIMING_COLUMNS
 from tests.point_mass import PointMass, point_mass_demonstrations
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -163,37 +167,122 @@ class Watch:
         self.rows.append(row)
 
 
-def test_cells_are_skipped_resumed_and_retried(demonstrations: str) -> None:
+@pytest.mark.parametrize("max_parallel", [1, 64])
+def test_cells_are_skipped_resumed_and_retried(demonstrations: str, max_parallel: int) -> None:
     """To the same tables, byte for byte."""
     spec = grid(demonstrations, seeds=[0, 1], settings={"num_iterations": 12})
-    whole = ail.sweep(spec, "whole")
+    arguments: dict[str, Any] = {"max_parallel": max_parallel}
+    whole = ail.sweep(spec, "whole", **arguments)
     names = [row["cell"] for row in whole]
+    num_reports = 24 if max_parallel == 1 else 12
 
-    # Stopped in the second cell, one iteration after its checkpoint.
-    stopped = Watch(KeyboardInterrupt(), at=12 + 10)
+    # Stopped one iteration after the last checkpoint but one.
+    stopped = Watch(KeyboardInterrupt(), at=num_reports - 2)
     with pytest.raises(KeyboardInterrupt):
-        ail.sweep(spec, "stopped", watch=stopped)
-    assert [row["cell"] for row in table(Path("stopped/results.csv"))] == names[:1]
+        ail.sweep(spec, "stopped", watch=stopped, **arguments)
+    done = names[: 1 if max_parallel == 1 else 0]
+    assert [row["cell"] for row in table(Path("stopped/results.csv"))] == done
     resumed = Watch()
-    assert ail.sweep(spec, "stopped", watch=resumed) == whole
-    assert (resumed.begun, resumed.num_reports) == (names[1:], 2)
+    assert ail.sweep(spec, "stopped", watch=resumed, **arguments) == whole
+    assert (resumed.begun, resumed.num_reports) == (names[len(done) :], 2)
+    assert [row["cell"] for row in resumed.rows] == resumed.begun
 
-    # Failed in the first cell.
     failing = Watch(RuntimeError("no\nmemory"), at=3)
-    rows = ail.sweep(spec, "failed", watch=failing)
-    assert [row["status"] for row in rows] == ["failed: RuntimeError: no", "done"]
+    rows = ail.sweep(spec, "failed", watch=failing, **arguments)
+    failed = "failed: RuntimeError: no"
+    assert [row["status"] for row in rows] == [failed, "done" if max_parallel == 1 else failed]
     assert failing.rows == rows
-    assert [row["status"] for row in table(Path("failed/results.csv"))] == [
-        row["status"] for row in rows
-    ]
-    assert ail.sweep(spec, "failed") == whole
+    written = table(Path("failed/results.csv"))
+    assert [row["status"] for row in written] == [row["status"] for row in rows]
+    assert ail.sweep(spec, "failed", **arguments) == whole
 
     again = Watch()
-    ail.sweep(spec, "whole", watch=again)
+    ail.sweep(spec, "whole", watch=again, **arguments)
     assert again.begun == []
     for name in ("results.csv", "curves.csv"):
         for other in ("stopped", "failed"):
             assert Path(other, name).read_bytes() == Path("whole", name).read_bytes()
+    assert not list(Path().glob("*/stacks/*"))
+
+
+def test_what_a_sweep_says(demonstrations: str) -> None:
+    spec = grid(demonstrations, num_trajectories=[2, 8])
+    rows = ail.sweep(spec, "sweep")
+    written = table(Path("sweep/results.csv"))
+    curves = table(Path("sweep/curves.csv"))
+    timings = table(Path("sweep/timings.csv"))
+    assert tuple(written[0]) == RESULT_COLUMNS
+    assert tuple(curves[0]) == CURVE_COLUMNS
+    assert tuple(timings[0]) == TIMING_COLUMNS
+    names = [row["cell"] for row in rows]
+    assert [row["cell"] for row in timings] == names
+    assert [(row["cell"], row["iteration"]) for row in curves] == [
+        (name, str(iteration)) for name in names for iteration in range(3)
+    ]
+    expert = ail.load_demonstrations(demonstrations)
+    for row, number in zip(written, (2, 8), strict=True):
+        mine = [curve for curve in curves if curve["cell"] == row["cell"]]
+        returns, steps = (
+            np.array([float(curve[name]) for curve in mine])
+            for name in ("evaluation_return", "env_steps")
+        )
+        policy = ail.load_policy(Path("sweep/cells", row["cell"], "seed_0/policy.npz"))
+        evaluation = ail.evaluate(policy, 2, "auto")
+        random = evaluate_random(POINT_MASS, physics="auto").mean
+        level = np.mean(expert.returns[:number])
+        expected = {
+            "num_trajectories": number,
+            "iterations": 3,
+            "env_steps": steps[-1],
+            "return_mean": evaluation.mean,
+            "return_std": evaluation.std,
+            "length_mean": evaluation.lengths.mean(),
+            "last_return": returns[-1],
+            "mean_return_over_training": np.average(returns, weights=np.diff(steps, prepend=0)),
+            "expert_return": level,
+            "random_return": random,
+            "normalized": (evaluation.mean - random) / (level - random),
+        }
+        for name, value in expected.items():
+            assert float(row[name]) == pytest.approx(value), name
+        reached = returns >= level - 0.1 * abs(level)
+        assert row["steps_to_90"] == (str(int(steps[reached.argmax()])) if reached.any() else "")
+        assert (row["status"], row["label"], row["physics"]) == ("done", "AILSRS", "none")
+
+
+def test_shards_are_the_whole(demonstrations: str) -> None:
+    spec = grid(demonstrations, seeds=[0, 1, 2, 3], num_trajectories=[2, 8])
+    cells = expand(spec)
+    whole = choose_units(cells, (0, 1), 3)
+    assert [len(unit) for unit in whole] == [3, 3, 2]
+    shards = [choose_units(cells, (index, 2), 3) for index in range(2)]
+    assert sorted([*shards[0], *shards[1]], key=whole.index) == whole
+    assert [sum(map(len, shard)) for shard in shards] == [5, 3]
+    assert choose_units(cells, (3, 4), 3) == []
+    for shard in ((2, 2), (-1, 2), (0, 0)):
+        with pytest.raises(ail.UserError, match="write I/N"):
+            choose_units(cells, shard, 3)
+    with pytest.raises(ail.UserError, match="max_parallel is 0"):
+        choose_units(cells, (0, 1), 0)
+
+    arguments: dict[str, Any] = {"max_parallel": 1}
+    spec = grid(demonstrations, seeds=[0, 1])
+    ail.sweep(spec, "whole", **arguments)
+    for index in range(2):
+        ail.sweep(spec, f"part-{index}", shard=(index, 2), **arguments)
+    assert len(merge_sweeps(Path("merged"), [Path("part-0")])) == 1
+    rows = merge_sweeps(Path("merged"), [Path("part-0"), Path("part-1")])
+    for name in ("results.csv", "curves.csv"):
+        assert Path("merged", name).read_bytes() == Path("whole", name).read_bytes()
+    again = Watch()
+    assert ail.sweep(spec, "merged", watch=again, **arguments) == rows
+    assert again.begun == []
+
+    ail.sweep(grid(demonstrations), "other")
+    with pytest.raises(ail.UserError, match="other holds another sweep"):
+        merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
+    with pytest.raises(ail.UserError, match="cannot read"):
+        merge_sweeps(Path("merged"), [Path("nowhere")])
 
 
 def test_another_sweep_is_not_mixed_in(demonstrations: str) -> None:

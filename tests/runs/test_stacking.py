@@ -14,8 +14,8 @@ from ailsrs_jax.runs.stacking import execute_stack, stack_key
 from tests.point_mass import PointMass
 from tests.runs.test_algorithms import TINY
 
-# More of them would make much of a little rounding.
-ONE_STEP = {"conjugate_gradient_steps": 1}
+# More steps of either would make much of a little rounding.
+FEW_STEPS = {"conjugate_gradient_steps": 1, "behavior_cloning_steps": 5}
 
 # What differs among the runs of a stack, beside their seeds.
 CHANGES: dict[str, list[dict[str, Any]]] = {
@@ -25,11 +25,11 @@ CHANGES: dict[str, list[dict[str, Any]]] = {
     ],
     "bc": [{"num_trajectories": 8}, {"num_trajectories": 1, "learning_rate": 1e-2}],
     "gail": [
-        ONE_STEP | {"num_trajectories": 4},
-        ONE_STEP | {"max_divergence": 0.05, "discount": 0.9},
+        FEW_STEPS | {"num_trajectories": 4},
+        FEW_STEPS | {"max_divergence": 0.05, "discount": 0.9},
     ],
     "ars": [{}, {"noise_std": 0.1}],
-    "trpo": [ONE_STEP, ONE_STEP | {"value_learning_rate": 1e-2, "advantage_decay": 0.5}],
+    "trpo": [{}, {"value_learning_rate": 1e-2, "advantage_decay": 0.5}],
 }
 
 

@@ -80,14 +80,16 @@ def merge(output: Positional[Path], sources: Positional[tuple[Path, ...]]) -> No
 
 
 def report(rows: Sequence[Mapping[str, Any]], output: Path) -> None:
-    """Say what has failed, and end with exit code 1 then."""
+    """Write table and figures, and say what has failed: then the exit code is 1."""
+    from ailsrs_jax.report import report_sweep
     from ailsrs_jax.runs.sweep_tables import DONE
 
+    report_sweep(output)
     failed = [row for row in rows if row["status"] != DONE]
     for row in failed:
         console.print(f"{row['cell']} {row['status']}", style="red", markup=False, soft_wrap=True)
     console.print(
-        f"{len(rows)} cells in results.csv, curves.csv and timings.csv in {escape(str(output))}",
+        f"{len(rows)} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
         highlight=False,
         soft_wrap=True,
     )

@@ -69,6 +69,8 @@ def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> 
     policy = result.policies[cell.seed]
     physics = "gymnasium" if config.env_id in TASKS else cell.physics
     evaluation = evaluate(policy, episodes, physics)
+    if not np.isfinite(evaluation.returns).all():
+        raise UserError("the kept policy's returns are not all finite")
     expert = None if result.expert_returns is None else float(np.mean(result.expert_returns))
     if expert is None:
         expert = shipped_expert_return(config.env_id, config.physics)

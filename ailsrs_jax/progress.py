@@ -20,8 +20,8 @@ from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.evaluation import evaluate
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep import Unit, is_done
+from ailsrs_jax.runs.sweep_cells import Cell
 from ailsrs_jax.runs.sweep_estimate import estimate, estimated_env_steps
-from ailsrs_jax.runs.sweep_spec import Cell
 from ailsrs_jax.runs.sweep_tables import DONE, TableRow
 from ailsrs_jax.runs.tracking import IterationReport
 

@@ -9,9 +9,10 @@ from typing import Any, Protocol
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Result, execute
 from ailsrs_jax.runs.stacking import execute_stack
+from ailsrs_jax.runs.sweep_cells import Cell, Sweep, load_sweep
 from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
 from ailsrs_jax.runs.sweep_ray import run_on_ray
-from ailsrs_jax.runs.sweep_spec import Cell, Sweep, expand, load_sweep, read_spec
+from ailsrs_jax.runs.sweep_spec import expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
     DONE,
     Stopwatch,

@@ -14,7 +14,7 @@ from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.runs.algorithms import find_algorithm
 from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.runs.sweep_spec import Cell
+from ailsrs_jax.runs.sweep_cells import Cell
 from ailsrs_jax.trainers.rollout import action_range, rollout
 from ailsrs_jax.trainers.settings import override
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from ailsrs_jax.errors import UserError, one_line
-from ailsrs_jax.runs.sweep_spec import Cell
+from ailsrs_jax.runs.sweep_cells import Cell
 
 RETRIES = 10  # of a unit whose worker is lost; each goes on from its newest checkpoint
 

@@ -19,7 +19,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.run import NUM_TRAJECTORIES, Result
-from ailsrs_jax.runs.sweep_spec import Cell
+from ailsrs_jax.runs.sweep_cells import Cell
 from ailsrs_jax.runs.tracking import IterationReport, read_rows
 
 RESULT_COLUMNS = (

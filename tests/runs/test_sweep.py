@@ -1,6 +1,7 @@
 """Sweeps of tiny cells: expanded and checked first, finished once, and never lost."""
 
 import csv
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,14 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.progress import SweepProgress
 from ailsrs_jax.runs.evaluation import evaluate_random
 from ailsrs_jax.runs.sweep import choose_units, merge_sweeps
-from ailsrs_jax.runs.sweep_spec import expand, load_sweep, read_spec
+from ailsrs_jax.runs.sweep_cells import load_sweep
+from ailsrs_jax.runs.sweep_spec import expand, read_spec
 from ailsrs_jax.runs.sweep_tables import CURVE_COLUMNS, RESULT_COLUMNS, TIMING_COLUMNS
 from tests.point_mass import PointMass, point_mass_demonstrations
+from tests.test_cli import ailsrs
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 POINT_MASS = "tests.point_mass:PointMass"
@@ -290,9 +294,67 @@ def test_another_sweep_is_not_mixed_in(demonstrations: str) -> None:
     calls = {
         "1 cells are new, ": grid(demonstrations, seeds=[0, 1]),
         "label of ": grid(demonstrations, label="ours"),
+        "1 cells are not asked for any more, ": grid(demonstrations, seeds=1),
         "episodes is 3, was 2": grid(demonstrations) | {"episodes": 3},
     }
     for message, spec in calls.items():
         with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
             ail.sweep(spec, "sweep")
         assert message in str(caught.value)
+
+
+def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
+    sweep = expand(grid(demonstrations))
+    sweep.save(Path("sweep.json"))
+    (cell,) = sweep.cells
+    changed = dataclasses.replace(cell, all_settings=cell.all_settings | {"step_size": 0.5})
+    with pytest.raises(ail.UserError, match=r"step_size of .* is 0\.5, was 0\.03; choose"):
+        dataclasses.replace(sweep, cells=(changed,)).save(Path("sweep.json"))
+
+
+def test_the_command_line(demonstrations: str, monkeypatch, capsys) -> None:
+    settings = "\n".join(f"{name} = {value}" for name, value in TINY.items())
+    Path("tiny.toml").write_text(
+        f"""
+        episodes = 2
+        env = "{POINT_MASS}"
+        demonstrations = "{demonstrations}"
+        seeds = [0, 1]
+        [settings]
+        {settings}
+        [[grid]]
+        """
+    )
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "out") == 0
+    # Two cells, three iterations, four directions forwards and backwards, four evaluations.
+    printed = capsys.readouterr().out
+    assert f"2 cells in 1 programs, at most {2 * 3 * 12 * 20 / 1e6:.1f} M steps" in printed
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", "half") == 2
+    assert "--shard half: write I/N" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+    def interrupt(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SweepProgress, "__call__", interrupt)
+        assert ailsrs(patched, "sweep", "tiny.toml", "--output", "out") == 130
+    assert "interrupted; the same command goes on" in capsys.readouterr().out
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
+    printed = capsys.readouterr().out
+    assert "2/2  tests.point" in printed
+    assert "2 cells; table.md, figures/ and results.csv are in out" in printed
+    assert Path("out/table.md").exists()
+    assert list(Path("out/figures").glob("*.png"))
+
+    # Another run in the place of one of them.
+    cell = expand(read_spec(Path("tiny.toml"))).cells[1].name
+    Path("out/cells", cell, "result.json").unlink()
+    config = Path("out/cells", cell, "config.json")
+    config.write_text(config.read_text().replace('"episode_length": 20', '"episode_length": 30'))
+    arguments = ("sweep", "tiny.toml", "--output", "out", "--max-parallel", 1)
+    assert ailsrs(monkeypatch, *arguments) == 1
+    printed = capsys.readouterr().out
+    assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in printed
+    assert "1 of them have failed; the same command tries them again" in printed
+    assert ailsrs(monkeypatch, "merge", "merged", "out") == 1

@@ -1,11 +1,13 @@
 """Many runs: a declarative grid of cells, trained until all are finished."""
 
 import hashlib
+import json
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Result, execute
 from ailsrs_jax.runs.stacking import execute_stack
@@ -139,15 +141,16 @@ def run_units(
             run_unit(unit, output, grid.episodes, watch)
             rows = write_tables(output, grid.cells)
         return rows
+    left = {cell.name for unit in units for cell in unit if not is_done(output, cell)}
     for unit, problem in run_on_ray(run_unit, units, output, grid.episodes):
         for cell in unit:
-            directory = output / "cells" / cell.name
             if problem is not None and not is_done(output, cell):
-                save_result(directory, failed_row(cell, problem), None)
-            result = load_result(directory)
-            if watch is not None and result is not None:
-                watch.end(result[0])
+                save_result(output / "cells" / cell.name, failed_row(cell, problem), None)
         rows = write_tables(output, grid.cells)
+        ended = left.intersection(cell.name for cell in unit)
+        for row in rows:
+            if watch is not None and row["cell"] in ended:
+                watch.end(row)
     return rows
 
 
@@ -163,9 +166,8 @@ def merge_sweeps(output: Path, sources: Sequence[Path]) -> list[TableRow]:
     if not sources:
         raise UserError("nothing to merge: give the directories of the shards")
     grid = load_sweep(sources[0] / SWEEP_FILE)
-    for path in (*sources[1:], output):
-        if path in sources or (path / SWEEP_FILE).exists():
-            grid.require_same(path / SWEEP_FILE)
+    for source in sources[1:]:
+        grid.require_same(source / SWEEP_FILE)
     grid.save(output / SWEEP_FILE)
     for source in sources:
         for cell in grid.cells:
@@ -196,8 +198,9 @@ def run_unit(unit: Unit, output: Path, episodes: int, watch: SweepWatch | None) 
     results: dict[str, Result] = {}
     problem: Exception | None = None
     try:
-        trained = _train(unit, output, stack_directory, watch)
-        results = {cell.name: result for cell, result in zip(unit, trained, strict=True)}
+        together = _stacked(unit, cells, stack_directory)
+        trained = _train(together, output, stack_directory, watch)
+        results = {cell.name: result for cell, result in zip(together, trained, strict=True)}
     except Exception as error:  # of whatever kind: the others can still be trained
         problem = error
     for cell in cells:
@@ -216,8 +219,23 @@ def run_unit(unit: Unit, output: Path, episodes: int, watch: SweepWatch | None) 
         shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
 
 
+def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list[Cell]:
+    """What is trained together: those that an unfinished stack began with, else the pending.
+
+    Of these some may be finished by now, but they are still in its checkpoint.
+    """
+    path = stack_directory / "cells.json"
+    if path.exists():
+        names = json.loads(path.read_text())
+        return [cell for cell in unit if cell.name in names]
+    if len(pending) > 1:
+        text = json.dumps([cell.name for cell in pending])
+        write_atomically(path, lambda file: file.write(text.encode()))
+    return list(pending)
+
+
 def _train(
-    unit: Unit, output: Path, stack_directory: Path, watch: SweepWatch | None
+    unit: Sequence[Cell], output: Path, stack_directory: Path, watch: SweepWatch | None
 ) -> list[Result]:
     plans = [cell.make_plan() for cell in unit]
     directories = [output / "cells" / cell.name for cell in unit]
@@ -226,7 +244,8 @@ def _train(
             shutil.rmtree(directory)  # killed before it began
     stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
     if len(unit) > 1:
-        return execute_stack(plans, directories, stack_directory, stopwatches, watch)
+        checkpoints = stack_directory / "checkpoints"
+        return execute_stack(plans, directories, checkpoints, stopwatches, watch)
 
     def tell(report: IterationReport) -> None:
         stopwatches[0](report)

@@ -358,3 +358,23 @@ def test_the_command_line(demonstrations: str, monkeypatch, capsys) -> None:
     assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in printed
     assert "1 of them have failed; the same command tries them again" in printed
     assert ailsrs(monkeypatch, "merge", "merged", "out") == 1
+
+
+def test_what_is_finished_is_never_trained_again(demonstrations: str) -> None:
+    class Stop(Watch):
+        def end(self, row: Any) -> None:
+            raise KeyboardInterrupt
+
+    spec = grid(demonstrations, seeds=[0, 1, 2])
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", watch=Stop())  # when the first of the stack is evaluated
+    resumed = Watch()
+    rows = ail.sweep(spec, "sweep", watch=resumed)
+    assert resumed.begun == [row["cell"] for row in rows[1:]]
+    assert resumed.num_reports == 0
+
+    for row in rows[1:]:
+        Path("sweep/cells", row["cell"], "result.json").unlink()
+    alone = Watch()
+    assert ail.sweep(spec, "sweep", max_parallel=2, watch=alone) == rows
+    assert (alone.begun, alone.num_reports) == (resumed.begun, 0)

@@ -21,11 +21,13 @@ from tests.test_cli import ailsrs
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 POINT_MASS = "tests.point_mass:PointMass"
-TINY = {
+SEARCH = {
     "num_iterations": 3,
     "episode_length": 20,
     "num_directions": 4,
     "num_top_directions": 2,
+}
+TINY = SEARCH | {
     "num_distance_samples": 50,
     "discriminator_batch_size": 16,
     "memory_samples": 16,
@@ -48,6 +50,12 @@ def grid(demonstrations: str, **entry: Any) -> dict[str, Any]:
         "settings": TINY,
         "grid": [entry],
     }
+
+
+def quick_grid(**entry: Any) -> dict[str, Any]:
+    """Of what compiles in a second."""
+    entry["settings"] = SEARCH | entry.get("settings", {})
+    return {"episodes": 2, "algorithm": "ars", "env": POINT_MASS, "grid": [entry]}
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -172,9 +180,9 @@ class Watch:
 
 
 @pytest.mark.parametrize("max_parallel", [1, 64])
-def test_cells_are_skipped_resumed_and_retried(demonstrations: str, max_parallel: int) -> None:
+def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: int) -> None:
     """To the same tables, byte for byte."""
-    spec = grid(demonstrations, seeds=[0, 1], settings={"num_iterations": 12})
+    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
     arguments: dict[str, Any] = {"max_parallel": max_parallel}
     whole = ail.sweep(spec, "whole", **arguments)
     names = [row["cell"] for row in whole]
@@ -270,7 +278,7 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
         choose_units(cells, (0, 1), 0)
 
     arguments: dict[str, Any] = {"max_parallel": 1}
-    spec = grid(demonstrations, seeds=[0, 1])
+    spec = quick_grid(seeds=[0, 1])
     ail.sweep(spec, "whole", **arguments)
     for index in range(2):
         ail.sweep(spec, f"part-{index}", shard=(index, 2), **arguments)
@@ -282,20 +290,20 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
     assert ail.sweep(spec, "merged", watch=again, **arguments) == rows
     assert again.begun == []
 
-    ail.sweep(grid(demonstrations), "other")
+    ail.sweep(quick_grid(), "other")
     with pytest.raises(ail.UserError, match="other holds another sweep"):
         merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
     with pytest.raises(ail.UserError, match="cannot read"):
         merge_sweeps(Path("merged"), [Path("nowhere")])
 
 
-def test_another_sweep_is_not_mixed_in(demonstrations: str) -> None:
-    ail.sweep(grid(demonstrations), "sweep")
+def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
+    ail.sweep(quick_grid(), "sweep")
     calls = {
-        "1 cells are new, ": grid(demonstrations, seeds=[0, 1]),
-        "label of ": grid(demonstrations, label="ours"),
-        "1 cells are not asked for any more, ": grid(demonstrations, seeds=1),
-        "episodes is 3, was 2": grid(demonstrations) | {"episodes": 3},
+        "1 cells are new, ": quick_grid(seeds=[0, 1]),
+        "label of ": quick_grid(label="ours"),
+        "1 cells are not asked for any more, ": quick_grid(seeds=1),
+        "episodes is 3, was 2": quick_grid() | {"episodes": 3},
     }
     for message, spec in calls.items():
         with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
@@ -312,13 +320,13 @@ def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
         dataclasses.replace(sweep, cells=(changed,)).save(Path("sweep.json"))
 
 
-def test_the_command_line(demonstrations: str, monkeypatch, capsys) -> None:
-    settings = "\n".join(f"{name} = {value}" for name, value in TINY.items())
+def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
+    settings = "\n".join(f"{name} = {value}" for name, value in SEARCH.items())
     Path("tiny.toml").write_text(
         f"""
         episodes = 2
         env = "{POINT_MASS}"
-        demonstrations = "{demonstrations}"
+        algorithm = "ars"
         seeds = [0, 1]
         [settings]
         {settings}
@@ -326,9 +334,9 @@ def test_the_command_line(demonstrations: str, monkeypatch, capsys) -> None:
         """
     )
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "out") == 0
-    # Two cells, three iterations, four directions forwards and backwards, four evaluations.
+    # Two cells, three iterations, four directions forwards and backwards, eight evaluations.
     printed = capsys.readouterr().out
-    assert f"2 cells in 1 programs, at most {2 * 3 * 12 * 20 / 1e6:.1f} M steps" in printed
+    assert f"2 cells in 1 programs, at most {2 * 3 * 16 * 20 / 1e6:.1f} M steps" in printed
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", "half") == 2
     assert "--shard half: write I/N" in capsys.readouterr().err
     assert not Path("out").exists()
@@ -360,12 +368,12 @@ def test_the_command_line(demonstrations: str, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "merge", "merged", "out") == 1
 
 
-def test_what_is_finished_is_never_trained_again(demonstrations: str) -> None:
+def test_what_is_finished_is_never_trained_again(in_tmp_path: Path) -> None:
     class Stop(Watch):
         def end(self, row: Any) -> None:
             raise KeyboardInterrupt
 
-    spec = grid(demonstrations, seeds=[0, 1, 2])
+    spec = quick_grid(seeds=[0, 1, 2])
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "sweep", watch=Stop())  # when the first of the stack is evaluated
     resumed = Watch()

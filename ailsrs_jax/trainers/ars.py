@@ -60,6 +60,9 @@ class Ars(Trainer):
 
     def init(self, key: jax.Array) -> TrainState:
         """The paper's start: all weights zero, no statistics."""
+        return self.devices.split(self._init, EVERYWHERE, EVERYWHERE)(key)
+
+    def _init(self, key: jax.Array) -> TrainState:
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         statistics = normalizer.init(self.env.observation_size)
         return TrainState(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
     from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import train as train
+    from ailsrs_jax.runs.sweep import sweep as sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
@@ -78,6 +79,7 @@ _HOMES = {
     "record": "runs.demonstrate",
     "save_demonstrations": "data.demonstrations",
     "save_minari": "data.minari_datasets",
+    "sweep": "runs.sweep",
     "train": "runs.run",
     "train_expert": "runs.expert",
 }

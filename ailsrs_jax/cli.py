@@ -1,28 +1,26 @@
-"""The command line: ``ailsrs train | evaluate | demonstrate | expert | benchmark``.
+"""The command line: ``ailsrs train | sweep | merge | evaluate | demonstrate | …``.
 
 Whatever takes long to import is imported by the command that needs it, so that help and mistakes
 answer at once.
 """
 
-import dataclasses
-import json
 import logging
-import math
 import os
 import signal
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.measure_cli import benchmark, evaluate
+from ailsrs_jax.sweep_cli import merge, sweep
 from ailsrs_jax.versions import VersionError
 
 app = tyro.extras.SubcommandApp()
@@ -139,63 +137,6 @@ def train(
 
 
 @app.command
-def evaluate(
-    policy: Positional[Path],
-    episodes: int = 100,
-    physics: Annotated[str, arg(metavar="gymnasium|auto|mjx|mujoco")] = "gymnasium",
-    seed: int = 0,
-    stochastic: bool = False,
-    as_json: Annotated[bool, arg(name="json")] = False,
-) -> None:
-    """Measure the return of a policy, or of every seed of a run.
-
-    Example: ailsrs evaluate runs/hopper --physics gymnasium
-
-    Args:
-        policy: A policy.npz, or a run directory.
-        episodes: Episodes of each policy, at most 1000 steps long.
-        physics: gymnasium is the real environment with the policy in NumPy.
-        seed: Of the initial states.
-        stochastic: Draw the actions of a Gaussian policy, instead of taking their mean.
-        as_json: Print JSON.
-    """
-    from ailsrs_jax.data.policies import load_policy, policy_files
-    from ailsrs_jax.envs.registry import open_env, require_harmless
-    from ailsrs_jax.runs import evaluation
-
-    in_gymnasium = physics == "gymnasium"
-    rows: list[dict[str, Any]] = []
-    results: list[evaluation.Evaluation] = []
-    for path in policy_files(policy):
-        loaded = load_policy(path)
-        require_harmless(loaded.env_id, str(path))
-        result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
-        results.append(result)
-        rows.append(
-            {
-                "policy": str(path),
-                "env_id": loaded.env_id,
-                "physics": physics if in_gymnasium else open_env(loaded.env_id, physics).engine,
-                "episodes": episodes,
-                "diverged": result.num_diverged,
-                # JSON has no NaN.
-                "return_mean": result.mean if math.isfinite(result.mean) else None,
-                "return_std": result.std if math.isfinite(result.std) else None,
-                "length_mean": float(result.lengths.mean()),
-            }
-        )
-    if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
-    for row, result in zip(rows, results, strict=True):
-        table.add_row(
-            escape(row["policy"]), row["env_id"], str(result), f"{row['length_mean']:.0f}"
-        )
-    console.print(table)
-
-
-@app.command
 def demonstrate(
     env: Positional[EnvName],
     output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
@@ -275,48 +216,8 @@ def expert(
     )
 
 
-@app.command
-def benchmark(
-    envs: Positional[tuple[EnvName, ...]] = ("halfcheetah",),
-    physics: Annotated[tuple[str, ...], arg(metavar="mjx|mujoco ...")] = ("mjx", "mujoco"),
-    num_directions: int = 320,
-    episode_length: int = 1000,
-    repeats: int = 3,
-    as_json: Annotated[bool, arg(name="json")] = False,
-) -> None:
-    """Measure bare physics, rollouts, training steps and the peers that are installed.
-
-    Args:
-        envs: The tasks.
-        physics: The engines.
-        num_directions: Directions; twice as many policies are simulated.
-        episode_length: Steps of an episode.
-        repeats: Turns that the stages take; the median counts.
-        as_json: Print JSON.
-    """
-    from ailsrs_jax.envs.physics import choose_engine
-    from ailsrs_jax.envs.registry import resolve_env_id
-    from ailsrs_jax.progress import print_benchmark
-    from ailsrs_jax.runs.benchmark import Row, benchmark
-
-    if min(num_directions, episode_length, repeats) < 1:
-        raise UserError("directions, episode length and repeats start at 1")
-    env_ids = [resolve_env_id(env) for env in envs]
-    engines = [choose_engine(engine)[0] for engine in physics]
-    rows: list[Row] = []
-    ratios: dict[str, float] = {}
-    with console.status("measuring") as status:
-        for done in benchmark(env_ids, engines, num_directions, episode_length, repeats):
-            rows += done.rows
-            ratios |= done.ratios
-            status.update(f"{len(rows)} measured")
-            if done.problem:
-                print(f"ailsrs: {done.problem}", file=sys.stderr)
-    if as_json:
-        rows_as_json = [dataclasses.asdict(row) for row in rows]
-        print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))
-    else:
-        print_benchmark(console, rows, ratios)
+for command in (evaluate, sweep, merge, benchmark):
+    app.command(command)
 
 
 def main() -> None:

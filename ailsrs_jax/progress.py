@@ -1,6 +1,8 @@
 """What a person sees of a run: a live line, or a plain one now and then in a log; and tables."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -17,6 +19,10 @@ from rich.table import Table
 from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.evaluation import evaluate
 from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.sweep import Unit, is_done
+from ailsrs_jax.runs.sweep_cells import Cell
+from ailsrs_jax.runs.sweep_estimate import estimate, estimated_env_steps
+from ailsrs_jax.runs.sweep_tables import DONE, TableRow
 from ailsrs_jax.runs.tracking import IterationReport
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
@@ -59,6 +65,83 @@ class RunProgress:
             self._progress.update(self._task, completed=done, description=text)
         elif report.is_last or done % max(total // LINES_IN_A_LOG, 1) == 0:
             self._console.print(f"{done}/{total}  {text}", soft_wrap=True, highlight=False)
+
+
+class SweepProgress:
+    """Shows how a sweep goes; a context manager, and the ``watch`` of a sweep.
+
+    A bar for all of it, in which a cell weighs as much as the steps it is estimated to take, and
+    one for what is trained; in a log, a line for each cell that ends.
+    """
+
+    def __init__(self, console: Console, units: Sequence[Unit], output: Path) -> None:
+        """Of the ``units``, of which some may be finished in the directory ``output``."""
+        self._console = console
+        cells = [cell for unit in units for cell in unit]
+        left = [cell for cell in cells if not is_done(output, cell)]
+        self._steps = {cell.name: estimated_env_steps(cell) for cell in left}
+        self._counts = {"finished": len(cells) - len(left), "failed": 0}
+        self._num_cells = len(cells)
+        self._before = 0.0  # estimated steps of what has ended
+        self._running: Sequence[Cell] = ()
+        self._progress = Progress(
+            BarColumn(bar_width=16),
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=3600.0,  # cells differ
+        )
+        self._all = self._progress.add_task(self._summary(), total=sum(self._steps.values()))
+        self._current = self._progress.add_task("", visible=False)
+
+    def __enter__(self) -> "SweepProgress":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def begin(self, cells: Sequence[Cell]) -> None:
+        """These cells are trained from now on, together."""
+        self._running = cells
+        self._progress.reset(self._current, description=self._name(), visible=True)
+        self._progress.update(self._all, description=self._summary())
+
+    def __call__(self, report: IterationReport) -> None:
+        """Show one iteration of them."""
+        done, total = report.iteration + 1, report.num_iterations
+        if len(self._running) > 1:  # their average
+            means = {name: values.mean(keepdims=True) for name, values in report.metrics.items()}
+            report = dataclasses.replace(report, metrics=means)
+        text = f"{self._name()} · {done}/{total} · {describe(report)}"
+        self._progress.update(self._current, completed=done, total=total, description=text)
+        steps = sum(self._steps[cell.name] for cell in self._running)
+        self._progress.update(self._all, completed=self._before + steps * done / total)
+
+    def end(self, row: TableRow) -> None:
+        """A cell is finished, or has failed."""
+        done = row["status"] == DONE
+        self._counts["finished" if done else "failed"] += 1
+        self._before += self._steps[row["cell"]]
+        self._running = [cell for cell in self._running if cell.name != row["cell"]]
+        self._progress.update(self._all, completed=self._before, description=self._summary())
+        self._progress.update(self._current, visible=bool(self._running))
+        text = (
+            f"return {row['return_mean']:.0f} ± {row['return_std']:.0f}" if done else row["status"]
+        )
+        count = f"{sum(self._counts.values())}/{self._num_cells}"
+        self._console.print(
+            f"{count}  {row['cell']}  {text}", soft_wrap=True, highlight=False, markup=False
+        )
+
+    def _name(self) -> str:
+        first, *others = (cell.name for cell in self._running)
+        return f"{first} and {len(others)} others" if others else first
+
+    def _summary(self) -> str:
+        counts = self._counts | {"running": len(self._running)}
+        return f"{self._num_cells} cells: " + ", ".join(f"{n} {what}" for what, n in counts.items())
 
 
 def describe(report: IterationReport) -> str:
@@ -114,3 +197,31 @@ def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, 
     for name, ratio in ratios.items():
         table.add_row(name, f"{ratio:.2f}")
     console.print(table)
+
+
+def print_estimate(console: Console, units: Sequence[Unit]) -> None:
+    """The table of ``ailsrs sweep --dry-run``."""
+    columns = ("algorithm", "environment", "physics", "cells", "programs", "steps, at most")
+    table = Table(*columns, "memory", "physics alone", box=None)
+    estimates = estimate(units)
+    for row in estimates:
+        table.add_row(
+            row.algorithm,
+            row.env_id,
+            row.engine,
+            str(row.num_cells),
+            str(row.num_programs),
+            f"{row.env_steps / 1e6:,.1f} M",
+            f"{row.memory_bytes / 2**20:,.0f} MB",
+            "" if row.seconds is None else f"{row.seconds / 60:,.0f} min",
+        )
+    console.print(table)
+    steps = sum(row.env_steps for row in estimates) / 1e6
+    text = (
+        f"to train: {sum(row.num_cells for row in estimates)} cells in "
+        f"{sum(row.num_programs for row in estimates)} programs, at most {steps:,.1f} M steps"
+    )
+    seconds = [row.seconds for row in estimates if row.seconds is not None]
+    if seconds:
+        text += f", {sum(seconds) / 3600:,.1f} h for their physics alone on this machine"
+    console.print(text, soft_wrap=True, highlight=False)

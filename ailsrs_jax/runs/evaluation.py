@@ -4,15 +4,19 @@ import dataclasses
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from ailsrs_jax.components.policy import LinearPolicy, repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
+from ailsrs_jax.trainers.rollout import action_range, rollout
 
 EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 
@@ -82,7 +86,9 @@ def evaluate(
     require_seed(seed)
     in_gymnasium = physics == "gymnasium"
     if in_gymnasium and env is None:
-        return _evaluate_in_gymnasium(policy, num_episodes, seed, episode_length, stochastic)
+        return _evaluate_in_gymnasium(
+            policy.env_id, policy, num_episodes, seed, episode_length, stochastic
+        )
     task = open_env(policy.env_id if env is None else env, "auto" if in_gymnasium else physics)
     # Not the initial states that demonstrations of the same seed begin with.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
@@ -91,10 +97,35 @@ def evaluate(
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 
-def _evaluate_in_gymnasium(
-    policy: SavedPolicy, num_episodes: int, seed: int, episode_length: int, stochastic: bool
+def evaluate_random(
+    env_id: str, num_episodes: int = 100, physics: str = "gymnasium", seed: int = 0
 ) -> Evaluation:
-    env_id = resolve_env_id(policy.env_id)
+    """Measure the return of actions drawn uniformly from their range; see :func:`evaluate`."""
+    if physics == "gymnasium":
+        return _evaluate_in_gymnasium(env_id, None, num_episodes, seed, EPISODE_LENGTH)
+    env = open_env(env_id, physics).env
+    n, p = env_sizes(env)
+    low, high = action_range(env)
+    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
+    noise_key, reset_key = jax.random.split(jax.random.key(seed))
+    shape = (num_episodes, EPISODE_LENGTH, p)
+    noise = jax.random.uniform(noise_key, shape, minval=low, maxval=high)
+    keys = jax.random.split(reset_key, num_episodes)
+    policies = repeated(still, num_episodes)
+    episodes = jax.jit(lambda: rollout(env, policies, keys, EPISODE_LENGTH, noise=noise))()
+    return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
+
+
+def _evaluate_in_gymnasium(
+    env_id: str,
+    policy: SavedPolicy | None,
+    num_episodes: int,
+    seed: int,
+    episode_length: int,
+    stochastic: bool = False,
+) -> Evaluation:
+    """Of ``policy``, or of actions drawn uniformly."""
+    env_id = resolve_env_id(env_id)
     if env_id not in TASKS:
         raise UserError(
             f"Gymnasium has no {env_id}: choose physics auto, mjx or mujoco, or in Python hand in "
@@ -105,14 +136,17 @@ def _evaluate_in_gymnasium(
     observation_shape, action_shape = env.observation_space.shape, env.action_space.shape
     assert observation_shape is not None
     assert action_shape is not None
-    policy.require_shape(action_shape[0], observation_shape[0])
+    if policy is not None:
+        policy.require_shape(action_shape[0], observation_shape[0])
+    env.action_space.seed(seed)
     returns, lengths = np.zeros(num_episodes), np.zeros(num_episodes, int)
     for episode in range(num_episodes):
         observation, _ = env.reset(seed=seed + episode)
         rng = np.random.default_rng(seed + episode) if stochastic else None
         over = False
         while not over:
-            observation, reward, terminated, truncated, _ = env.step(policy(observation, rng))
+            action = env.action_space.sample() if policy is None else policy(observation, rng)
+            observation, reward, terminated, truncated, _ = env.step(action)
             returns[episode] += float(reward)
             lengths[episode] += 1
             over = terminated or truncated

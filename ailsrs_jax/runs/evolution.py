@@ -72,11 +72,13 @@ def train_by_evolution(
             "evaluation_length": metrics["eval/avg_episode_length"],
             "env_steps": num_steps,
         }
+        seconds = time.perf_counter() - started
         report = IterationReport(
             iteration=iteration,
             num_iterations=settings.num_evaluations,
             metrics={name: np.array([value]) for name, value in reported.items()},
-            env_steps_per_second=(num_steps - steps_done) / (time.perf_counter() - started),
+            seconds=seconds,
+            env_steps_per_second=(num_steps - steps_done) / seconds,
             compile_seconds=None,  # Brax compiles within the first part
         )
         watch(report)

@@ -98,11 +98,13 @@ def train_ppo(
             **jax.device_get(episode_counts(episodes)),
             "env_steps": num_steps,
         }
+        seconds = time.perf_counter() - started
         report = IterationReport(
             iteration=iteration,
             num_iterations=settings.num_evaluations,
             metrics={name: np.array([value]) for name, value in metrics.items()},
-            env_steps_per_second=(num_steps - steps_done) / (time.perf_counter() - started),
+            seconds=seconds,
+            env_steps_per_second=(num_steps - steps_done) / seconds,
             compile_seconds=None,  # Brax compiles within the first part
         )
         consider(report, policy, -abs(mean - settings.stop_at) if settings.stop_at else mean)

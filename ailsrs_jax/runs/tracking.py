@@ -20,6 +20,7 @@ class IterationReport:
     iteration: int  # counted from 0
     num_iterations: int
     metrics: Mapping[str, np.ndarray]  # (seeds,) each; env_steps since the start of the run
+    seconds: float  # that this iteration took
     env_steps_per_second: float  # of all seeds together, in this iteration
     compile_seconds: float | None  # spent before the first iteration, if it is known
     finished: bool = False  # nothing is left to do, whatever the number of iterations

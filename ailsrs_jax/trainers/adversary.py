@@ -16,6 +16,7 @@ from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.expert import Expert
+from ailsrs_jax.trainers.settings import is_used
 
 # Draws ``(batch, d)`` inputs of the policy's steps with a key, and says ``(batch)`` bool which of
 # them are on this device.
@@ -118,13 +119,13 @@ class Adversary:
             pairs = discriminator.LOSSES[settings.discriminator_loss](policy_logits, expert_logits)
             value = mean(pairs)
             total = value
-            if settings.gradient_penalty:
+            if is_used(settings.gradient_penalty):
                 total += settings.gradient_penalty * mean(
                     discriminator.gradient_penalty(
                         logits, policy_inputs, expert_inputs, penalty_key
                     )
                 )
-            if settings.discriminator_entropy_bonus:
+            if is_used(settings.discriminator_entropy_bonus):
                 entropies = jax.tree.map(discriminator.entropy, (policy_logits, expert_logits))
                 bonus = mean((entropies[0] + entropies[1]) / 2.0)
                 total -= settings.discriminator_entropy_bonus * bonus

@@ -155,13 +155,17 @@ def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Arra
     """``(E,)`` how many of each episode's first steps are trained on.
 
     All or, of the last episodes, none: steps of the same episode are too alike to tell whether one
-    has learned more than these. Of a single episode its first part.
+    has learned more than these. Of a single episode its first part. Episodes of no steps, which
+    come last, do not count.
     """
-    num_episodes = len(lengths)
-    if num_episodes == 1:
-        return jnp.maximum(jnp.ceil(lengths * (1.0 - validation_fraction)).astype(jnp.int32), 1)
-    num_held_out = min(max(round(num_episodes * validation_fraction), 1), num_episodes - 1)
-    return jnp.where(jnp.arange(num_episodes) < num_episodes - num_held_out, lengths, 0)
+    num_episodes = jnp.sum(lengths > 0)
+    held_out = jnp.clip(jnp.round(num_episodes * validation_fraction), 1, num_episodes - 1)
+    first_part = jnp.ceil(lengths * (1.0 - validation_fraction)).astype(jnp.int32)
+    return jnp.where(
+        num_episodes == 1,
+        jnp.where(lengths > 0, jnp.maximum(first_part, 1), 0),
+        jnp.where(jnp.arange(len(lengths)) < num_episodes - held_out, lengths, 0),
+    )
 
 
 def make_behavior_cloning(

@@ -4,6 +4,8 @@ import dataclasses
 import math
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import jax
+
 from ailsrs_jax.errors import UserError
 
 POSITIVE = {
@@ -69,6 +71,11 @@ def require_countable(num_steps: int) -> None:
             f"an iteration of {num_steps} steps, remembered ones included, is too long: they are "
             "counted in 32 bits, below 2^31"
         )
+
+
+def is_used(weight: Any) -> bool:
+    """Whether a term with this weight is there at all; a traced one, of stacked runs, is not 0."""
+    return isinstance(weight, jax.core.Tracer) or weight != 0
 
 
 def _parse(name: str, text: str, kind: Any) -> Any:

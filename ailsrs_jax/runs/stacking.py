@@ -1,0 +1,209 @@
+"""Runs of the same shapes as one program: what differs among them is an axis of its arrays."""
+
+import dataclasses
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.checkpoint import Checkpoints
+from ailsrs_jax.runs.directory import claimed
+from ailsrs_jax.runs.iterations import iterate
+from ailsrs_jax.runs.policies import kept_policies
+from ailsrs_jax.runs.run import CHECKPOINT_EVERY, Plan, Result, Watch
+from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
+from ailsrs_jax.trainers.expert import Expert
+from ailsrs_jax.trainers.trainer import Trainer
+
+
+def stack_key(plan: Plan) -> Hashable:
+    """What has to be equal for two runs to be stacked.
+
+    All of their settings but the real-valued ones, of which only those that are 0 stay apart:
+    there a term can be left out. Episodes of demonstrations may differ in number, not in length.
+    """
+    config, demonstrations = plan.config, plan.demonstrations
+    settings = tuple(
+        (name, value == 0 if isinstance(value, float) else value)
+        for name, value in vars(config.settings).items()
+    )
+    recorded = None
+    if demonstrations is not None:
+        has_actions = demonstrations.actions is not None
+        recorded = (demonstrations.observations.shape[1:], demonstrations.stride, has_actions)
+    return config.algorithm, config.env_id, config.physics, settings, recorded
+
+
+def execute_stack(
+    plans: Sequence[Plan],
+    outputs: Sequence[Path],
+    checkpoint_directory: Path,
+    watches: Sequence[Watch],
+    watch: Watch | None = None,
+) -> list[Result | UserError]:
+    """Run ``plans`` of one seed each, and the same :func:`stack_key`, together.
+
+    Each has its own run directory, as :func:`~ailsrs_jax.runs.run.execute` leaves it. While they
+    are trained, one checkpoint holds the state of all, so that they are always equally far, and an
+    interrupted stack of the same runs in the same order goes on bit for bit.
+
+    Random numbers are those of the runs alone, bit for bit; the results agree to rounding, because
+    XLA sums the products of stacked matrices in another order.
+
+    Args:
+        plans: the runs.
+        outputs: their directories.
+        checkpoint_directory: of all together.
+        watches: told of each run's iterations.
+        watch: told of those of all together.
+
+    Returns:
+        Of each run its result; or, if most episodes of an iteration diverged, the error that says
+        so, which would have stopped it had it been alone.
+
+    Raises:
+        UserError: a directory holds another run, is in use, or cannot be written.
+    """
+    num_iterations = plans[0].config.settings.num_iterations
+    make_trainer, arguments = stack_trainers([plan.make_trainer() for plan in plans])
+
+    def init(seed: jax.Array, arguments: Any) -> Any:
+        return make_trainer(arguments).init(jax.random.key(seed))
+
+    def update(state: Any, arguments: Any) -> tuple[Any, dict[str, jax.Array]]:
+        new_state, metrics = make_trainer(arguments).update(state)
+        if hasattr(state, "finished"):  # it waits for the others
+            new_state = jax.tree.map(
+                lambda old, new: jnp.where(state.finished, old, new), state, new_state
+            )
+            metrics["env_steps"] = jnp.where(state.finished, 0, metrics["env_steps"])
+        return new_state, metrics
+
+    problems: dict[int, UserError] = {}
+    with ExitStack() as stack:
+        for plan, output in zip(plans, outputs, strict=True):
+            resume = (output / "config.json").exists()
+            stack.enter_context(claimed(output, plan.config, resume=resume))
+        seeds = np.array([plan.config.seeds[0] for plan in plans], np.int32)
+        state = jax.jit(jax.vmap(init))(seeds, arguments)
+        progress = {"state": state, "steps": np.zeros(len(plans), np.int64)}
+        checkpoints = stack.enter_context(Checkpoints(checkpoint_directory, CHECKPOINT_EVERY))
+        num_done, progress, _ = checkpoints.restore(progress)
+        files = [
+            MetricsFile(output / "metrics.csv", plan.config.seeds, num_done)
+            for plan, output in zip(plans, outputs, strict=True)
+        ]
+        waiting = _finished(progress["state"], len(plans))
+        for state, report in iterate(
+            update,
+            progress["state"],
+            np.asarray(progress["steps"]),
+            num_done,
+            num_iterations,
+            arguments,
+        ):
+            progress = {"state": state, "steps": report.metrics["env_steps"]}
+            save = report.is_last or checkpoints.is_due(report.iteration + 1)
+            for index in np.flatnonzero(~waiting).tolist():
+                mine = _part_of_report(report, index)
+                files[index].append(mine, to_disk=save)
+                watches[index](mine)
+                try:
+                    mine.require_most_finite()
+                except UserError as error:
+                    problems.setdefault(index, error)
+            if save:
+                checkpoints.save(report.iteration + 1, progress)
+            if watch is not None:
+                watch(report)
+            waiting = _finished(state, len(plans))
+
+        return [
+            problems.get(index)
+            or _result(plan, output, jax.tree.map(lambda x, i=index: x[i : i + 1], progress))
+            for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
+        ]
+
+
+def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer], Any]:
+    """How to make a trainer of its part of the returned arrays, which are stacks of all parts.
+
+    What is the same in all of them is not in the arrays, but in what is made of them.
+    """
+    members: list[Any] = list(trainers)  # some have an expert
+    template = members[0]
+    settings = [vars(trainer.settings) for trainer in members]
+    arguments: dict[str, Any] = {
+        "settings": {
+            name: np.array([each[name] for each in settings], np.float32)
+            for name in settings[0]
+            if len({each[name] for each in settings}) > 1
+        }
+    }
+    if hasattr(template, "expert"):
+        experts = [trainer.expert for trainer in members]
+        if not all(_same(expert, experts[0]) for expert in experts):
+            most = max(len(expert.lengths) for expert in experts)
+            padded = [_pad(expert, most) for expert in experts]
+            arguments["expert"] = jax.tree.map(lambda *xs: jnp.stack(xs), *padded)
+
+    def make(part: Any) -> Trainer:
+        changes = {"settings": dataclasses.replace(template.settings, **part["settings"])}
+        if "expert" in part:
+            changes["expert"] = part["expert"]
+        made: Trainer = dataclasses.replace(template, **changes)
+        return made
+
+    return make, arguments
+
+
+def _same(one: Expert, other: Expert) -> bool:
+    leaves = jax.tree.leaves(one), jax.tree.leaves(other)
+    return all(np.array_equal(x, y) for x, y in zip(*leaves, strict=True))
+
+
+def _pad(expert: Expert, num_episodes: int) -> Expert:
+    """With episodes of no steps behind its own."""
+
+    def pad(array: jax.Array) -> jax.Array:
+        missing = num_episodes - len(expert.lengths)
+        return jnp.pad(array, [(0, missing)] + [(0, 0)] * (array.ndim - 1))
+
+    padded: Expert = expert.replace(
+        observations=pad(expert.observations),
+        actions=pad(expert.actions),
+        lengths=pad(expert.lengths),
+    )
+    return padded
+
+
+def _finished(state: Any, num_runs: int) -> np.ndarray:
+    return np.broadcast_to(np.asarray(getattr(state, "finished", False)), num_runs)
+
+
+def _part_of_report(report: IterationReport, index: int) -> IterationReport:
+    """What one run is told: its metrics, with the time and the speed of all together."""
+    metrics = {name: values[index : index + 1] for name, values in report.metrics.items()}
+    return dataclasses.replace(report, metrics=metrics)
+
+
+def _result(plan: Plan, output: Path, progress: dict[str, Any]) -> Result:
+    """Of one run; its checkpoint and policy are written as if it had been alone."""
+    config, state = plan.config, progress["state"]
+    (seed,) = config.seeds
+    directory = output / "checkpoints"
+    with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
+        checkpoints.save(int(state.iteration[0]), progress)
+    policies = kept_policies(state, config)
+    policies[seed].save(output / f"seed_{seed}" / "policy.npz")
+    return Result(
+        config=config,
+        policies=policies,
+        kept_iterations={seed: int(state.kept.iteration[0])},
+        expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
+    )

@@ -1,0 +1,264 @@
+"""Many runs: a declarative grid of cells, trained until all are finished."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.runs.run import Result, execute
+from ailsrs_jax.runs.stacking import execute_stack
+from ailsrs_jax.runs.sweep_cells import Cell, Sweep, load_sweep
+from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
+from ailsrs_jax.runs.sweep_ray import run_on_ray
+from ailsrs_jax.runs.sweep_spec import expand, read_spec
+from ailsrs_jax.runs.sweep_tables import (
+    DONE,
+    Stopwatch,
+    TableRow,
+    failed_row,
+    finished_row,
+    load_result,
+    save_result,
+    timing_row,
+    write_tables,
+)
+from ailsrs_jax.runs.tracking import IterationReport
+
+SWEEP_FILE = "sweep.json"
+MAX_PARALLEL = 64  # cells in one program; whatever the machine, so that all shards agree
+
+LAUNCHERS = ("local", "ray")
+
+Unit = tuple[Cell, ...]  # what is trained as one program
+
+
+class SweepWatch(Protocol):
+    """Who is told how a sweep goes."""
+
+    def begin(self, cells: Sequence[Cell]) -> None:
+        """These cells are trained from now on, together."""
+
+    def __call__(self, report: IterationReport) -> None:
+        """An iteration of them is done."""
+
+    def end(self, row: TableRow) -> None:
+        """One of them is finished, or has failed; this is its row of ``results.csv``."""
+
+
+def sweep(
+    spec: str | Path | Mapping[str, Any],
+    output: str | Path,
+    *,
+    shard: tuple[int, int] = (0, 1),
+    max_parallel: int = MAX_PARALLEL,
+    launcher: str = "local",
+    watch: SweepWatch | None = None,
+) -> list[TableRow]:
+    """Train every cell of a grid that is not finished yet, and write the tables.
+
+    A cell that fails does not stop the others; the next call tries it again.
+
+    Args:
+        spec: a TOML file, or what it would hold.
+        output: the directory of the sweep, where an earlier call may have left off.
+        shard: I and N, to train only the I-th of N parts, I from 0.
+        max_parallel: train at most so many cells at the same time, as one program.
+        launcher: ``local``, one program after the other on this machine, or ``ray``, on a cluster.
+        watch: is told how it goes.
+
+    Returns:
+        The rows of ``results.csv``.
+
+    Raises:
+        UserError: the spec is wrong, or the directory holds another sweep or cannot be written.
+    """
+    grid = expand(spec if isinstance(spec, Mapping) else read_spec(Path(spec)))
+    require_launcher(launcher)
+    units = choose_units(grid, shard, max_parallel)
+    output = Path(output)
+    grid.save(output / SWEEP_FILE)
+    return run_units(grid, pending(units, output), output, watch, launcher)
+
+
+def require_launcher(name: str) -> None:
+    """Raise UserError unless there is such a launcher."""
+    if name not in LAUNCHERS:
+        raise UserError(f"unknown launcher '{name}': use {' or '.join(LAUNCHERS)}")
+
+
+def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list[Unit]:
+    """The units of one shard: the same for the same arguments, and together all of the grid.
+
+    The dearest units are dealt out first, each to the shard that has the least to do.
+
+    Raises:
+        UserError: there is no such shard, or nothing may run.
+    """
+    index, count = shard
+    if not 0 <= index < count:
+        raise UserError(f"shard {index}/{count}: write I/N with I from 0 to N - 1")
+    if max_parallel < 1:
+        raise UserError(f"max_parallel is {max_parallel}: it must be at least 1")
+    programs: dict[str, list[Cell]] = {}
+    for cell in grid.cells:
+        programs.setdefault(cell.program, []).append(cell)
+    units: list[Unit] = []
+    for cells in programs.values():
+        size = 1 if cells[0].engine == "mujoco" else max_parallel
+        units += [tuple(cells[start : start + size]) for start in range(0, len(cells), size)]
+    costs = [sum(map(estimated_env_steps, unit)) for unit in units]
+    loads, mine = [0] * count, []
+    for number in sorted(range(len(units)), key=lambda number: -costs[number]):
+        lightest = loads.index(min(loads))
+        loads[lightest] += costs[number]
+        if lightest == index:
+            mine.append(number)
+    return [units[number] for number in sorted(mine)]
+
+
+def pending(units: Sequence[Unit], output: Path) -> list[Unit]:
+    """Those of which anything is not finished."""
+    return [unit for unit in units if not all(is_done(output, cell) for cell in unit)]
+
+
+def is_done(output: Path, cell: Cell) -> bool:
+    """Whether a cell is finished."""
+    result = load_result(output / "cells" / cell.name)
+    return result is not None and result[0]["status"] == DONE
+
+
+def run_units(
+    grid: Sweep, units: Sequence[Unit], output: Path, watch: SweepWatch | None, launcher: str
+) -> list[TableRow]:
+    """Train ``units``, and return the rows of ``results.csv``."""
+    rows = write_tables(output, grid.cells)
+    if launcher == "local":
+        for unit in units:
+            run_unit(unit, output, grid.episodes, watch)
+            rows = write_tables(output, grid.cells)
+        return rows
+    left = {cell.name for unit in units for cell in unit if not is_done(output, cell)}
+    for unit, problem in run_on_ray(run_unit, units, output, grid.episodes):
+        for cell in unit:
+            if problem is not None and not is_done(output, cell):
+                save_result(output / "cells" / cell.name, failed_row(cell, problem), None)
+        rows = write_tables(output, grid.cells)
+        ended = left.intersection(cell.name for cell in unit)
+        for row in rows:
+            if watch is not None and row["cell"] in ended:
+                watch.end(row)
+    return rows
+
+
+def merge_sweeps(output: Path, sources: Sequence[Path]) -> list[TableRow]:
+    """Copy what the shards ``sources`` of one sweep have finished, and write the tables of all.
+
+    Returns:
+        The rows of ``results.csv``.
+
+    Raises:
+        UserError: they are not of the same sweep, or cannot be read or written.
+    """
+    if not sources:
+        raise UserError("nothing to merge: give the directories of the shards")
+    grid = load_sweep(sources[0] / SWEEP_FILE)
+    for source in sources[1:]:
+        grid.require_same(source / SWEEP_FILE)
+    grid.save(output / SWEEP_FILE)
+    for source in sources:
+        for cell in grid.cells:
+            name = Path("cells", cell.name)
+            if load_result(source / name) is not None and not is_done(output, cell):
+                _copy(source / name, output / name)
+    return write_tables(output, grid.cells)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """A directory, in place of another one, which is whole until it is replaced."""
+    try:
+        temporary = target.with_name(f".{target.name}")
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.copytree(source, temporary)
+        shutil.rmtree(target, ignore_errors=True)
+        temporary.rename(target)
+    except OSError as error:
+        raise UserError(f"cannot copy {source} to {target}: {error}") from error
+
+
+def run_unit(unit: Unit, output: Path, episodes: int, watch: SweepWatch | None) -> None:
+    """Train cells together, or go on with them, and evaluate what they have kept."""
+    cells = [cell for cell in unit if not is_done(output, cell)]
+    if watch is not None:
+        watch.begin(cells)
+    stack_directory = output / "stacks" / _hash("".join(cell.name for cell in unit))
+    results: dict[str, Result | UserError] = {}
+    problem: Exception | None = None
+    try:
+        together = _stacked(unit, cells, stack_directory)
+        trained = _train(together, output, stack_directory, watch)
+        results = {cell.name: result for cell, result in zip(together, trained, strict=True)}
+    except Exception as error:  # of whatever kind: the others can still be trained
+        problem = error
+    for cell in cells:
+        directory, timing = output / "cells" / cell.name, None
+        try:
+            if problem is not None:
+                raise problem
+            result = results[cell.name]
+            if isinstance(result, UserError):
+                raise result
+            row = finished_row(cell, result, directory, episodes)
+            timing = timing_row(cell, row, directory)
+        except Exception as error:
+            row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
+        save_result(directory, row, timing)
+        if watch is not None:
+            watch.end(row)
+    if not pending([unit], output):
+        shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
+
+
+def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list[Cell]:
+    """What is trained together: those that an unfinished stack began with, else the pending.
+
+    Of these some may be finished by now, but they are still in its checkpoint.
+    """
+    path = stack_directory / "cells.json"
+    if path.exists():
+        names = json.loads(path.read_text())
+        return [cell for cell in unit if cell.name in names]
+    if len(pending) > 1:
+        text = json.dumps([cell.name for cell in pending])
+        write_atomically(path, lambda file: file.write(text.encode()))
+    return list(pending)
+
+
+def _train(
+    unit: Sequence[Cell], output: Path, stack_directory: Path, watch: SweepWatch | None
+) -> list[Result | UserError]:
+    plans = [cell.make_plan() for cell in unit]
+    directories = [output / "cells" / cell.name for cell in unit]
+    for directory in directories:
+        if directory.exists() and not (directory / "config.json").exists():
+            shutil.rmtree(directory)  # killed before it began
+    stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
+    if len(unit) > 1:
+        checkpoints = stack_directory / "checkpoints"
+        return execute_stack(plans, directories, checkpoints, stopwatches, watch)
+
+    def tell(report: IterationReport) -> None:
+        stopwatches[0](report)
+        if watch is not None:
+            watch(report)
+
+    (plan,), (directory,) = plans, directories
+    started = (directory / "config.json").exists()
+    return [execute(plan, directory, resume=started, watch=tell)]
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,115 @@
+"""The cells of a sweep, and the file that says which they are."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.run import Plan, make_plan
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """One algorithm × task × preset × number of trajectories × settings × seed."""
+
+    name: str  # also of its directory
+    label: str  # for people
+    algorithm: str
+    env_id: str
+    preset: str
+    settings: dict[str, str]  # what differs from the preset, sorted
+    all_settings: dict[str, Any]  # the preset's as they were then, too
+    demonstrations: str | None  # None for the shipped expert's, or none
+    num_trajectories: int | None  # None where there are none
+    subsample: int
+    physics: str  # as asked for
+    engine: str  # what that means here
+    program: str  # cells with the same one can be trained together
+    seed: int
+
+    def make_plan(self) -> Plan:
+        """The run of this cell alone.
+
+        Raises:
+            UserError: something of it is wrong.
+        """
+        return make_plan(
+            self.env_id,
+            self.demonstrations,
+            self.num_trajectories,
+            (self.seed,),
+            self.preset,
+            self.physics,
+            self.settings,
+            subsample=self.subsample,
+            algorithm=self.algorithm,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """All that is asked for, as written to ``sweep.json``."""
+
+    cells: tuple[Cell, ...]
+    episodes: int
+
+    def save(self, path: Path) -> None:
+        """Write ``sweep.json``, unless it is there and the same.
+
+        Raises:
+            UserError: there is another one, or it cannot be written.
+        """
+        if path.exists():
+            self.require_same(path)
+            return
+        text = json.dumps(dataclasses.asdict(self), indent=1)
+        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+
+    def require_same(self, path: Path) -> None:
+        """Raise UserError, naming some differences, unless ``path`` holds this sweep."""
+        saved = load_sweep(path)
+        here, there = ({cell.name: cell for cell in sweep.cells} for sweep in (self, saved))
+        differences = [
+            f"{len(names)} cells {what}, {names[0]} for one"
+            for what, names in (
+                ("are new", [name for name in here if name not in there]),
+                ("are not asked for any more", [name for name in there if name not in here]),
+            )
+            if names
+        ]
+        for name in here:
+            if name in there and here[name] != there[name]:
+                mine, theirs = (
+                    vars(cell) | {"all_settings": None} | cell.all_settings
+                    for cell in (here[name], there[name])
+                )
+                differences += [
+                    f"{key} of {name} is {mine[key]}, was {theirs.get(key)}"
+                    for key in mine
+                    if mine[key] != theirs.get(key)
+                ]
+        if self.episodes != saved.episodes:
+            differences.append(f"episodes is {self.episodes}, was {saved.episodes}")
+        if not differences and self != saved:
+            differences.append("the cells are in another order")
+        if differences:
+            more = f"; and {len(differences) - 3} more" if len(differences) > 3 else ""
+            raise UserError(
+                f"{path.parent} holds another sweep: {'; '.join(differences[:3])}{more}; choose "
+                "another output directory"
+            )
+
+
+def load_sweep(path: Path) -> Sweep:
+    """Read ``sweep.json``.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    try:
+        fields = json.loads(path.read_text())
+        return Sweep(tuple(Cell(**cell) for cell in fields["cells"]), fields["episodes"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UserError(f"cannot read {path}: it is no sweep's, or damaged") from error

@@ -1,0 +1,232 @@
+"""What a sweep leaves: a row for each cell, learning curves, and wall-clock times apart."""
+
+import csv
+import functools
+import io
+import json
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.registry import TASKS
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
+from ailsrs_jax.runs.run import NUM_TRAJECTORIES, Result
+from ailsrs_jax.runs.sweep_cells import Cell
+from ailsrs_jax.runs.tracking import IterationReport, read_rows
+
+RESULT_COLUMNS = (
+    *("cell", "label", "algorithm", "env_id", "preset", "settings", "num_trajectories", "seed"),
+    *("physics", "iterations", "env_steps", "kept_iteration"),
+    *("return_mean", "return_std", "length_mean", "last_return", "mean_return_over_training"),
+    *("steps_to_90", "expert_return", "random_return", "normalized", "status"),
+)
+CURVE_COLUMNS = (
+    *("cell", "iteration", "env_steps", "evaluation_return", "evaluation_length"),
+    *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
+)
+TIMING_COLUMNS = (
+    *("cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"),
+)
+DONE = "done"
+RESULT_FILE = "result.json"  # in a cell's directory, when it is finished or has failed
+SECONDS_FILE = "seconds.csv"  # in a cell's directory, a line for each iteration
+
+TableRow = Mapping[str, Any]
+
+
+class Stopwatch:
+    """Writes down what each iteration of a cell took, so that a resumed one adds up."""
+
+    def __init__(self, directory: Path, share: int = 1) -> None:
+        """Of one of ``share`` cells that are trained together, each with its part of the time."""
+        self._path = directory / SECONDS_FILE
+        self._share = share
+        self._compiled = False
+
+    def __call__(self, report: IterationReport) -> None:
+        """Note what this iteration took, and what compiling took before the first one."""
+        compiling = 0.0 if self._compiled else report.compile_seconds or 0.0
+        self._compiled = True
+        with self._path.open("a") as file:
+            values = (report.iteration, report.seconds / self._share, compiling / self._share)
+            file.write(f"{','.join(map(str, values))}\n")
+
+
+def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
+    """What ``results.csv`` says of a cell that is trained; its policy is evaluated here."""
+    config = result.config
+    header, *rows = read_rows(directory / "metrics.csv")
+    columns = dict(zip(header, np.array(rows, float).T, strict=True))
+    returns, steps = columns["evaluation_return"], columns["env_steps"]
+    policy = result.policies[cell.seed]
+    physics = "gymnasium" if config.env_id in TASKS else cell.physics
+    evaluation = evaluate(policy, episodes, physics)
+    if not np.isfinite(evaluation.returns).all():
+        raise UserError("the kept policy's returns are not all finite")
+    expert = None if result.expert_returns is None else float(np.mean(result.expert_returns))
+    if expert is None:
+        expert = shipped_expert_return(config.env_id, config.physics)
+    random = random_return(config.env_id, physics)
+    reached = np.flatnonzero(returns >= (np.inf if expert is None else ninety_percent(expert)))
+    normalized = None
+    if expert is not None and expert != random:
+        normalized = (evaluation.mean - random) / (expert - random)
+    return cell_columns(cell) | {
+        "iterations": len(rows),
+        "env_steps": int(steps[-1]),
+        "kept_iteration": result.kept_iterations[cell.seed],
+        "return_mean": evaluation.mean,
+        "return_std": evaluation.std,
+        "length_mean": float(evaluation.lengths.mean()),
+        "last_return": float(returns[-1]),
+        # Of an iteration's policy, for as many steps as the iteration takes.
+        "mean_return_over_training": float(returns @ np.diff(steps, prepend=0) / steps[-1]),
+        "steps_to_90": int(steps[reached[0]]) if len(reached) else None,
+        "expert_return": expert,
+        "random_return": random,
+        "normalized": normalized,
+        "status": DONE,
+    }
+
+
+def failed_row(cell: Cell, reason: str) -> TableRow:
+    """What ``results.csv`` says of a cell that could not be trained."""
+    return cell_columns(cell) | {"status": f"failed: {' '.join(reason.split())}"}
+
+
+def cell_columns(cell: Cell) -> dict[str, Any]:
+    """What is known of a cell before it runs."""
+    return {
+        "cell": cell.name,
+        "label": cell.label,
+        "algorithm": cell.algorithm,
+        "env_id": cell.env_id,
+        "preset": cell.preset,
+        "settings": ";".join(f"{name}={value}" for name, value in cell.settings.items()),
+        "num_trajectories": cell.num_trajectories,
+        "seed": cell.seed,
+        "physics": cell.engine,
+    }
+
+
+def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
+    """What ``timings.csv`` says of a cell that is trained."""
+    lines = [line.split(",") for line in (directory / SECONDS_FILE).read_text().splitlines()]
+    # The last of each iteration: what a killed process did twice counts once.
+    seconds = {int(line[0]): float(line[1]) for line in lines if len(line) == 3}
+    compiling = sum(float(line[2]) for line in lines if len(line) == 3)
+    to_90 = None
+    if row["steps_to_90"] is not None:
+        header, *rows = read_rows(directory / "metrics.csv")
+        steps = [int(each[header.index("env_steps")]) for each in rows]
+        reached = steps.index(row["steps_to_90"])
+        to_90 = sum(seconds.get(index, 0.0) for index in range(reached + 1))
+    return {
+        "cell": cell.name,
+        "train_seconds": sum(seconds.values()),
+        "compile_seconds": compiling,
+        "seconds_to_90_percent": to_90,
+        "hardware": hardware(),
+    }
+
+
+def save_result(directory: Path, row: TableRow, timing: TableRow | None) -> None:
+    """Mark a cell as finished, or failed."""
+    text = json.dumps({"row": row, "timing": timing}, indent=1)
+    write_atomically(directory / RESULT_FILE, lambda file: file.write(f"{text}\n".encode()))
+
+
+def load_result(directory: Path) -> tuple[TableRow, TableRow | None] | None:
+    """The row of a cell and its times; None if it has not been finished.
+
+    Raises:
+        UserError: the file is damaged.
+    """
+    path = directory / RESULT_FILE
+    try:
+        content = json.loads(path.read_text())
+        return content["row"], content["timing"]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"cannot read {path}: delete it to evaluate the cell again") from error
+
+
+def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
+    """Write the tables of what is finished so far, in the order of ``cells``; the rows of results.
+
+    Several processes may share the directory: whoever is the last to write has seen what the others
+    have finished, because each looks again after it has written.
+    """
+    written: list[tuple[TableRow, TableRow | None]] | None = None
+    while True:
+        found = [load_result(output / "cells" / cell.name) for cell in cells]
+        results = [result for result in found if result is not None]
+        if results == written:
+            return [row for row, _ in results]
+        rows = [row for row, _ in results]
+        _write_csv(output / "results.csv", RESULT_COLUMNS, rows)
+        _write_csv(output / "curves.csv", CURVE_COLUMNS, _curves(output, rows))
+        timings = [timing for _, timing in results if timing is not None]
+        _write_csv(output / "timings.csv", TIMING_COLUMNS, timings)
+        written = results
+
+
+def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
+    for row in rows:
+        if row["status"] == DONE:
+            header, *lines = read_rows(output / "cells" / row["cell"] / "metrics.csv")
+            for line in lines:
+                yield {"cell": row["cell"]} | dict(zip(header, line, strict=True))
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[TableRow]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        values = (row.get(column) for column in columns)
+        writer.writerow(["" if value is None else value for value in values])
+    write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+
+
+def ninety_percent(expert_return: float) -> float:
+    """The return that counts as nine tenths of the expert's, which may be negative."""
+    return expert_return - 0.1 * abs(expert_return)
+
+
+@functools.cache
+def random_return(env_id: str, physics: str) -> float:
+    """Mean return of 100 episodes of uniformly random actions."""
+    return evaluate_random(env_id, physics=physics).mean
+
+
+@functools.cache
+def shipped_expert_return(env_id: str, engine: str) -> float | None:
+    """Mean return of the shipped expert's demonstrations, if one ships."""
+    try:
+        return float(expert_demonstrations(env_id, NUM_TRAJECTORIES, engine).returns.mean())
+    except UserError:
+        return None
+
+
+def hardware() -> str:
+    """What computes here, without the name of the machine."""
+    device = jax.devices()[0]
+    if device.platform != "cpu":
+        return f"{jax.device_count()} x {device.device_kind}"
+    model = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.split(": ", 1)[1] for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration, IndexError):
+        pass  # not Linux
+    return f"{available_cores()} cores, {model}"

@@ -1,0 +1,110 @@
+"""The commands for many runs: ``ailsrs sweep`` and ``ailsrs merge``."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+from rich.markup import escape
+from tyro.conf import Positional, arg
+
+from ailsrs_jax.errors import UserError
+
+console = Console()
+
+
+def sweep(
+    spec: Positional[Path],
+    output: Path | None = None,
+    shard: Annotated[str, arg(metavar="I/N")] = "0/1",
+    max_parallel: Annotated[int | None, arg(metavar="K")] = None,
+    launcher: Annotated[str, arg(metavar="local|ray")] = "local",
+    dry_run: bool = False,
+) -> None:
+    """Train every cell of a declarative grid: algorithms, tasks, demonstrations, settings, seeds.
+
+    The same command goes on where it was stopped.
+
+    Example: ailsrs sweep experiments/smoke.toml
+
+    Args:
+        spec: A TOML file; docs/sweeps.md says what it holds.
+        output: The directory of the sweep; by default runs/NAME, of a file NAME.toml.
+        shard: Train only the I-th of N parts, I from 0, of a sweep on several machines.
+        max_parallel: With MJX, train at most so many cells at the same time, as one program; by
+            default 64.
+        launcher: On this machine, or on the Ray cluster that RAY_ADDRESS names.
+        dry_run: Only say what would run, and what it costs at most.
+    """
+    from ailsrs_jax.progress import SweepProgress, print_estimate
+    from ailsrs_jax.runs import sweep as sweeps
+    from ailsrs_jax.runs.sweep_spec import expand, read_spec
+
+    sweeps.require_launcher(launcher)
+    grid = expand(read_spec(spec))
+    output = output or Path("runs") / spec.stem
+    max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
+    units = sweeps.choose_units(grid, parse_shard(shard), max_parallel)
+    if dry_run:
+        print_estimate(console, sweeps.pending(units, output))
+        return
+    grid.save(output / sweeps.SWEEP_FILE)
+    console.print(
+        f"[bold]{escape(str(spec))}[/] · {len(grid.cells)} cells · {escape(str(output))}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    try:
+        with SweepProgress(console, units, output) as watch:
+            pending = sweeps.pending(units, output)
+            rows = sweeps.run_units(grid, pending, output, watch, launcher)
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on")
+        sys.exit(130)
+    report(rows, output)
+
+
+def merge(output: Positional[Path], sources: Positional[tuple[Path, ...]]) -> None:
+    """Put the directories of a sweep's shards together.
+
+    Example: ailsrs merge runs/paper shards/0 shards/1
+
+    Args:
+        output: The directory to write, as the whole sweep on one machine would have left it.
+        sources: The directories of the shards.
+    """
+    from ailsrs_jax.runs.sweep import merge_sweeps
+
+    report(merge_sweeps(output, sources), output)
+
+
+def report(rows: Sequence[Mapping[str, Any]], output: Path) -> None:
+    """Write table and figures, and say what has failed: then the exit code is 1."""
+    from ailsrs_jax.report import report_sweep
+    from ailsrs_jax.runs.sweep_tables import DONE
+
+    report_sweep(output)
+    failed = [row for row in rows if row["status"] != DONE]
+    for row in failed:
+        console.print(f"{row['cell']} {row['status']}", style="red", markup=False, soft_wrap=True)
+    console.print(
+        f"{len(rows)} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if failed:
+        console.print(f"{len(failed)} of them have failed; the same command tries them again")
+        sys.exit(1)
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """``I/N`` as two numbers.
+
+    Raises:
+        UserError: it is not.
+    """
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdecimal() and count.isdecimal()):
+        raise UserError(f"--shard {text}: write I/N, for example 0/4")
+    return int(index), int(count)

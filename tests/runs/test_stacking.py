@@ -1,0 +1,125 @@
+"""Runs that are stacked are those alone, to rounding; what is random in them, bit for bit."""
+
+import csv
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.runs import run
+from ailsrs_jax.runs.stacking import execute_stack, stack_key
+from ailsrs_jax.trainers.devices import ONE_DEVICE
+from tests.point_mass import PointMass
+from tests.runs.test_algorithms import TINY
+
+# More steps of either would make much of a little rounding.
+FEW_STEPS = {"conjugate_gradient_steps": 1, "behavior_cloning_steps": 5}
+
+# What differs among the runs of a stack, beside their seeds.
+CHANGES: dict[str, list[dict[str, Any]]] = {
+    "ailsrs": [
+        {"num_trajectories": 8, "step_size": 0.05, "noise_std": 0.1},
+        {"num_trajectories": 1, "gradient_penalty": 7.0, "discriminator_learning_rate": 1e-2},
+    ],
+    "bc": [{"num_trajectories": 8}, {"num_trajectories": 1, "learning_rate": 1e-2}],
+    "gail": [
+        FEW_STEPS | {"num_trajectories": 4},
+        FEW_STEPS | {"max_divergence": 0.05, "discount": 0.9},
+    ],
+    "ars": [{}, {"noise_std": 0.1}],
+    "trpo": [{}, {"value_learning_rate": 1e-2, "advantage_decay": 0.5}],
+}
+
+
+def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[run.Plan]:
+    made = []
+    for seed, changes in enumerate(CHANGES[algorithm]):
+        settings = TINY[algorithm] | changes
+        number = settings.pop("num_trajectories", None)
+        made.append(
+            run.make_plan(
+                env,
+                expert if algorithm not in ("ars", "trpo") else None,
+                number,
+                (seed,),
+                "tuned",
+                "auto",
+                {name: str(value) for name, value in settings.items()},
+                algorithm=algorithm,
+            )
+        )
+    return [dataclasses.replace(plan, devices=ONE_DEVICE) for plan in made]
+
+
+def metrics(path: Path) -> dict[str, np.ndarray]:
+    with (path / "metrics.csv").open() as file:
+        header, *rows = csv.reader(file)
+    return dict(zip(header, np.array(rows, float).T, strict=True))
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [
+        "ars",
+        "ailsrs",
+        "bc",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("gail", "trpo")),
+    ],
+)
+def test_stacked_runs_are_those_alone(
+    algorithm: str, point_mass: PointMass, point_mass_expert: Demonstrations, tmp_path: Path
+) -> None:
+    cells = plans(point_mass, point_mass_expert, algorithm)
+    assert len(set(map(stack_key, cells))) == 1
+    directories = [tmp_path / "stacked" / str(index) for index in range(len(cells))]
+    stacked = execute_stack(
+        cells, directories, tmp_path / "stack", [lambda report: None] * len(cells)
+    )
+    for index, plan in enumerate(cells):
+        alone = run.execute(plan, tmp_path / "alone" / str(index))
+        (seed,) = plan.config.seeds
+        assert stacked[index].kept_iterations == alone.kept_iterations
+        ours, theirs = (vars(result.policies[seed]) for result in (stacked[index], alone))
+        for name in ours.keys() - {"env_id"}:
+            jax.tree.map(
+                lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-5),
+                ours[name],
+                theirs[name],
+            )
+        ours, theirs = metrics(directories[index]), metrics(tmp_path / "alone" / str(index))
+        assert ours.keys() == theirs.keys()
+        for name in ours:
+            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-3, atol=1e-5)
+        for name in ("iteration", "seed", "env_steps", "evaluation_length"):
+            np.testing.assert_array_equal(ours[name], theirs[name])
+
+
+def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
+    def key(expert: Demonstrations = point_mass_expert, **changes: Any) -> Any:
+        settings = TINY["ailsrs"] | {"gradient_penalty": 1.0} | changes
+        assignments = {name: str(value) for name, value in settings.items()}
+        return stack_key(
+            run.make_plan(point_mass, expert, None, (0,), "tuned", "auto", assignments)
+        )
+
+    assert key() == key(gradient_penalty=2.0, step_size=1.0)
+    assert key() == key(point_mass_expert.first(2))
+    others = [
+        key(gradient_penalty=0.0),
+        key(num_directions=8),
+        key(discriminator_loss="cross_entropy"),
+        key(behavior_cloning_start=False),
+        key(point_mass_expert.subsample(2)),
+        key(
+            point_mass_expert.replace(
+                observations=point_mass_expert.observations[:, :20],
+                actions=point_mass_expert.actions[:, :20],
+                lengths=np.full(8, 20),
+            )
+        ),
+    ]
+    assert len({key(), *others}) == 7

@@ -1,0 +1,388 @@
+"""Sweeps of tiny cells: expanded and checked first, finished once, and never lost."""
+
+import csv
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.progress import SweepProgress
+from ailsrs_jax.runs.evaluation import evaluate_random
+from ailsrs_jax.runs.sweep import choose_units, merge_sweeps
+from ailsrs_jax.runs.sweep_cells import load_sweep
+from ailsrs_jax.runs.sweep_spec import expand, read_spec
+from ailsrs_jax.runs.sweep_tables import CURVE_COLUMNS, RESULT_COLUMNS, TIMING_COLUMNS
+from tests.point_mass import PointMass, point_mass_demonstrations
+from tests.test_cli import ailsrs
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+POINT_MASS = "tests.point_mass:PointMass"
+SEARCH = {
+    "num_iterations": 3,
+    "episode_length": 20,
+    "num_directions": 4,
+    "num_top_directions": 2,
+}
+TINY = SEARCH | {
+    "num_distance_samples": 50,
+    "discriminator_batch_size": 16,
+    "memory_samples": 16,
+}
+
+
+@pytest.fixture
+def demonstrations(in_tmp_path: Path) -> str:
+    """A file of the point mass's."""
+    recorded = point_mass_demonstrations(PointMass())
+    save_demonstrations(recorded.replace(env_id=POINT_MASS), "point_mass.npz")
+    return "point_mass.npz"
+
+
+def grid(demonstrations: str, **entry: Any) -> dict[str, Any]:
+    return {
+        "episodes": 2,
+        "env": POINT_MASS,
+        "demonstrations": demonstrations,
+        "settings": TINY,
+        "grid": [entry],
+    }
+
+
+def quick_grid(**entry: Any) -> dict[str, Any]:
+    """Of what compiles in a second."""
+    entry["settings"] = SEARCH | entry.get("settings", {})
+    return {"episodes": 2, "algorithm": "ars", "env": POINT_MASS, "grid": [entry]}
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_list_is_an_axis(demonstrations: str) -> None:
+    spec = grid(demonstrations, num_trajectories=[1, 8], seeds=[3, 0], label="ours")
+    spec["grid"].append(
+        {"algorithm": "bc", "settings": {"solver": ["adam", "ridge"], "num_iterations": 1}}
+    )
+    spec["settings"] = {"num_distance_samples": 50}
+    cells = expand(spec).cells
+    assert [(cell.label, cell.num_trajectories, cell.seed) for cell in cells[:4]] == [
+        ("ours", 1, 3),
+        ("ours", 1, 0),
+        ("ours", 8, 3),
+        ("ours", 8, 0),
+    ]
+    assert cells[0].settings == {"num_distance_samples": "50"}
+    assert [(cell.label, cell.settings) for cell in cells[4:]] == [
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1"}),
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1", "solver": "ridge"}),
+    ]
+    assert len({cell.name for cell in cells}) == 6
+
+
+def test_a_cell_is_called_the_same_whatever_is_beside_it(demonstrations: str) -> None:
+    alone = expand(grid(demonstrations)).cells[0]
+    assert expand(grid(demonstrations, label="ours", seeds=[1, 0])).cells[1].name == alone.name
+    assert "/" not in alone.name
+    assert ":" not in alone.name
+    assert len(alone.name) < 130
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "the sweep: there is no key 'seed': use one of algorithm": {"seed": 1},
+    "episodes is 0: it must be": {"episodes": 0},
+    "no [[grid]] entry": {"grid": []},
+    "grid entry 2: there is no key 'algorithms'": {"grid": [{}, {"algorithms": "bc"}]},
+    "grid entry 1: seeds is '1': it must be a whole number": {"grid": [{"seeds": ["1"]}]},
+    "grid entry 1: seeds is True": {"grid": [{"seeds": True}]},
+    "grid entry 1: seeds holds the same value twice": {"grid": [{"seeds": [1, 1]}]},
+    "grid entry 1: env is an empty list": {"grid": [{"env": []}]},
+    "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
+    "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
+    "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
+    "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
+        "grid": [{}, {"label": "x", "env": "hoper"}]
+    },
+    "grid entry 1 (sac, ": {"grid": [{"algorithm": ["ailsrs", "sac"]}]},
+    "there is no setting 'nose_std'": {"grid": [{"settings": {"nose_std": 1}}]},
+    "noise_std is -1.0: it must be positive": {"grid": [{"settings": {"noise_std": [1, -1]}}]},
+    "seed is -1: it must be from 0": {"grid": [{"seeds": [0, -1]}]},
+    "hold 8": {"grid": [{"num_trajectories": 9}]},
+    "is already in grid entry 1 (a)": {"grid": [{"label": "a"}, {"preset": "tuned"}]},
+    # What only the trainer knows.
+    "batch_size is 7: it must be a multiple": {
+        "settings": {},
+        "grid": [{"algorithm": "gail", "settings": {"batch_size": 7}}],
+    },
+    "ars learns from the environment's reward": {
+        "settings": {},
+        "grid": [{"algorithm": ["ailsrs", "ars"]}],
+    },
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_mistake_anywhere_is_found_before_anything_runs(
+    message: str, demonstrations: str
+) -> None:
+    spec = grid(demonstrations) | WRONG[message]
+    with pytest.raises(ail.UserError) as caught:
+        ail.sweep(spec, "sweep")
+    assert message in str(caught.value)
+    assert not Path("sweep").exists()
+
+
+def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
+    Path("broken.toml").write_text("[[grid")
+    for path, message in {
+        "missing.toml": "no such file",
+        "broken.toml": "is not TOML",
+        ".": "cannot read",
+    }.items():
+        with pytest.raises(ail.UserError, match=message):
+            ail.sweep(path, "sweep")
+    Path("sweep").mkdir()
+    Path("sweep/sweep.json").write_text("{}")
+    with pytest.raises(ail.UserError, match="it is no sweep's, or damaged"):
+        load_sweep(Path("sweep/sweep.json"))
+
+
+@pytest.mark.slow  # rolls out the shipped experts
+@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 78)])
+def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
+    assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells
+
+
+class Watch:
+    """Notes what it is told, and raises ``error`` before the report of a given number."""
+
+    def __init__(self, error: BaseException | None = None, at: int = 0) -> None:
+        self.error, self.at = error, at
+        self.begun: list[str] = []
+        self.rows: list[Any] = []
+        self.num_reports = 0
+
+    def begin(self, cells: Any) -> None:
+        self.begun += [cell.name for cell in cells]
+
+    def __call__(self, report: Any) -> None:
+        if self.num_reports == self.at and self.error is not None:
+            error, self.error = self.error, None
+            raise error
+        self.num_reports += 1
+
+    def end(self, row: Any) -> None:
+        self.rows.append(row)
+
+
+@pytest.mark.parametrize("max_parallel", [1, 64])
+def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: int) -> None:
+    """To the same tables, byte for byte."""
+    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
+    arguments: dict[str, Any] = {"max_parallel": max_parallel}
+    whole = ail.sweep(spec, "whole", **arguments)
+    names = [row["cell"] for row in whole]
+    num_reports = 24 if max_parallel == 1 else 12
+
+    # Stopped one iteration after the last checkpoint but one.
+    stopped = Watch(KeyboardInterrupt(), at=num_reports - 2)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "stopped", watch=stopped, **arguments)
+    done = names[: 1 if max_parallel == 1 else 0]
+    assert [row["cell"] for row in table(Path("stopped/results.csv"))] == done
+    resumed = Watch()
+    assert ail.sweep(spec, "stopped", watch=resumed, **arguments) == whole
+    assert (resumed.begun, resumed.num_reports) == (names[len(done) :], 2)
+    assert [row["cell"] for row in resumed.rows] == resumed.begun
+
+    failing = Watch(RuntimeError("no\nmemory"), at=3)
+    rows = ail.sweep(spec, "failed", watch=failing, **arguments)
+    failed = "failed: RuntimeError: no"
+    assert [row["status"] for row in rows] == [failed, "done" if max_parallel == 1 else failed]
+    assert failing.rows == rows
+    written = table(Path("failed/results.csv"))
+    assert [row["status"] for row in written] == [row["status"] for row in rows]
+    assert ail.sweep(spec, "failed", **arguments) == whole
+
+    again = Watch()
+    ail.sweep(spec, "whole", watch=again, **arguments)
+    assert again.begun == []
+    for name in ("results.csv", "curves.csv"):
+        for other in ("stopped", "failed"):
+            assert Path(other, name).read_bytes() == Path("whole", name).read_bytes()
+    assert not list(Path().glob("*/stacks/*"))
+
+
+def test_what_a_sweep_says(demonstrations: str) -> None:
+    spec = grid(demonstrations, num_trajectories=[2, 8])
+    rows = ail.sweep(spec, "sweep")
+    written = table(Path("sweep/results.csv"))
+    curves = table(Path("sweep/curves.csv"))
+    timings = table(Path("sweep/timings.csv"))
+    assert tuple(written[0]) == RESULT_COLUMNS
+    assert tuple(curves[0]) == CURVE_COLUMNS
+    assert tuple(timings[0]) == TIMING_COLUMNS
+    names = [row["cell"] for row in rows]
+    assert [row["cell"] for row in timings] == names
+    assert [(row["cell"], row["iteration"]) for row in curves] == [
+        (name, str(iteration)) for name in names for iteration in range(3)
+    ]
+    expert = ail.load_demonstrations(demonstrations)
+    for row, number in zip(written, (2, 8), strict=True):
+        mine = [curve for curve in curves if curve["cell"] == row["cell"]]
+        returns, steps = (
+            np.array([float(curve[name]) for curve in mine])
+            for name in ("evaluation_return", "env_steps")
+        )
+        policy = ail.load_policy(Path("sweep/cells", row["cell"], "seed_0/policy.npz"))
+        evaluation = ail.evaluate(policy, 2, "auto")
+        random = evaluate_random(POINT_MASS, physics="auto").mean
+        level = np.mean(expert.returns[:number])
+        expected = {
+            "num_trajectories": number,
+            "iterations": 3,
+            "env_steps": steps[-1],
+            "return_mean": evaluation.mean,
+            "return_std": evaluation.std,
+            "length_mean": evaluation.lengths.mean(),
+            "last_return": returns[-1],
+            "mean_return_over_training": np.average(returns, weights=np.diff(steps, prepend=0)),
+            "expert_return": level,
+            "random_return": random,
+            "normalized": (evaluation.mean - random) / (level - random),
+        }
+        for name, value in expected.items():
+            assert float(row[name]) == pytest.approx(value), name
+        reached = returns >= level - 0.1 * abs(level)
+        assert row["steps_to_90"] == (str(int(steps[reached.argmax()])) if reached.any() else "")
+        assert (row["status"], row["label"], row["physics"]) == ("done", "AILSRS", "none")
+
+
+def test_shards_are_the_whole(demonstrations: str) -> None:
+    spec = grid(demonstrations, seeds=[0, 1, 2, 3], num_trajectories=[2, 8])
+    cells = expand(spec)
+    whole = choose_units(cells, (0, 1), 3)
+    assert [len(unit) for unit in whole] == [3, 3, 2]
+    shards = [choose_units(cells, (index, 2), 3) for index in range(2)]
+    assert sorted([*shards[0], *shards[1]], key=whole.index) == whole
+    assert [sum(map(len, shard)) for shard in shards] == [5, 3]
+    assert choose_units(cells, (3, 4), 3) == []
+    for shard in ((2, 2), (-1, 2), (0, 0)):
+        with pytest.raises(ail.UserError, match="write I/N"):
+            choose_units(cells, shard, 3)
+    with pytest.raises(ail.UserError, match="max_parallel is 0"):
+        choose_units(cells, (0, 1), 0)
+
+    arguments: dict[str, Any] = {"max_parallel": 1}
+    spec = quick_grid(seeds=[0, 1])
+    ail.sweep(spec, "whole", **arguments)
+    for index in range(2):
+        ail.sweep(spec, f"part-{index}", shard=(index, 2), **arguments)
+    assert len(merge_sweeps(Path("merged"), [Path("part-0")])) == 1
+    rows = merge_sweeps(Path("merged"), [Path("part-0"), Path("part-1")])
+    for name in ("results.csv", "curves.csv"):
+        assert Path("merged", name).read_bytes() == Path("whole", name).read_bytes()
+    again = Watch()
+    assert ail.sweep(spec, "merged", watch=again, **arguments) == rows
+    assert again.begun == []
+
+    ail.sweep(quick_grid(), "other")
+    with pytest.raises(ail.UserError, match="other holds another sweep"):
+        merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
+    with pytest.raises(ail.UserError, match="cannot read"):
+        merge_sweeps(Path("merged"), [Path("nowhere")])
+
+
+def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
+    ail.sweep(quick_grid(), "sweep")
+    calls = {
+        "1 cells are new, ": quick_grid(seeds=[0, 1]),
+        "label of ": quick_grid(label="ours"),
+        "1 cells are not asked for any more, ": quick_grid(seeds=1),
+        "episodes is 3, was 2": quick_grid() | {"episodes": 3},
+    }
+    for message, spec in calls.items():
+        with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
+            ail.sweep(spec, "sweep")
+        assert message in str(caught.value)
+
+
+def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
+    sweep = expand(grid(demonstrations))
+    sweep.save(Path("sweep.json"))
+    (cell,) = sweep.cells
+    changed = dataclasses.replace(cell, all_settings=cell.all_settings | {"step_size": 0.5})
+    with pytest.raises(ail.UserError, match=r"step_size of .* is 0\.5, was 0\.03; choose"):
+        dataclasses.replace(sweep, cells=(changed,)).save(Path("sweep.json"))
+
+
+def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
+    settings = "\n".join(f"{name} = {value}" for name, value in SEARCH.items())
+    Path("tiny.toml").write_text(
+        f"""
+        episodes = 2
+        env = "{POINT_MASS}"
+        algorithm = "ars"
+        seeds = [0, 1]
+        [settings]
+        {settings}
+        [[grid]]
+        """
+    )
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "out") == 0
+    # Two cells, three iterations, four directions forwards and backwards, eight evaluations.
+    printed = capsys.readouterr().out
+    assert f"2 cells in 1 programs, at most {2 * 3 * 16 * 20 / 1e6:.1f} M steps" in printed
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", "half") == 2
+    assert "--shard half: write I/N" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+    def interrupt(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SweepProgress, "__call__", interrupt)
+        assert ailsrs(patched, "sweep", "tiny.toml", "--output", "out") == 130
+    assert "interrupted; the same command goes on" in capsys.readouterr().out
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
+    printed = capsys.readouterr().out
+    assert "2/2  tests.point" in printed
+    assert "2 cells; table.md, figures/ and results.csv are in out" in printed
+    assert Path("out/table.md").exists()
+    assert list(Path("out/figures").glob("*.png"))
+
+    # Another run in the place of one of them.
+    cell = expand(read_spec(Path("tiny.toml"))).cells[1].name
+    Path("out/cells", cell, "result.json").unlink()
+    config = Path("out/cells", cell, "config.json")
+    config.write_text(config.read_text().replace('"episode_length": 20', '"episode_length": 30'))
+    arguments = ("sweep", "tiny.toml", "--output", "out", "--max-parallel", 1)
+    assert ailsrs(monkeypatch, *arguments) == 1
+    printed = capsys.readouterr().out
+    assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in printed
+    assert "1 of them have failed; the same command tries them again" in printed
+    assert ailsrs(monkeypatch, "merge", "merged", "out") == 1
+
+
+def test_what_is_finished_is_never_trained_again(in_tmp_path: Path) -> None:
+    class Stop(Watch):
+        def end(self, row: Any) -> None:
+            raise KeyboardInterrupt
+
+    spec = quick_grid(seeds=[0, 1, 2])
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", watch=Stop())  # when the first of the stack is evaluated
+    resumed = Watch()
+    rows = ail.sweep(spec, "sweep", watch=resumed)
+    assert resumed.begun == [row["cell"] for row in rows[1:]]
+    assert resumed.num_reports == 0
+
+    for row in rows[1:]:
+        Path("sweep/cells", row["cell"], "result.json").unlink()
+    alone = Watch()
+    assert ail.sweep(spec, "sweep", max_parallel=2, watch=alone) == rows
+    assert (alone.begun, alone.num_reports) == (resumed.begun, 0)

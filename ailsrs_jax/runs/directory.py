@@ -86,8 +86,7 @@ class RunDirectory:
         """
         if self._metrics is not None:
             self._metrics.append(report, to_disk=True)
-        if report.iteration > 0:
-            self._checkpoints.save(report.iteration, before)
+        self._checkpoints.save(report.iteration, before)
 
     def _save_policies(self, state: Any) -> None:
         for seed, policy in kept_policies(state, self._config).items():

@@ -115,8 +115,10 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     code, errors = finish(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM)
     assert "stopping after this iteration" in errors
-    assert newest_state(output)[0] == done
-    assert (num_rows(output) - 1) // 2 == done
+    # The second may have come before the first was acted on, or one iteration later.
+    newest = newest_state(output)[0]
+    assert newest in (done, done + 1)
+    assert (num_rows(output) - 1) // 2 in (newest, newest + 1)
     with claimed(output, toy_run.plan(MANY, "ars").config, resume=True):
         pass  # nothing of them is left that would hold it
 

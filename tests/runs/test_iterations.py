@@ -32,7 +32,7 @@ def test_steps_are_counted_beyond_32_bits() -> None:
 def test_more_steps_than_an_iteration_can_count_are_refused(
     name: str, point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:
-    long: dict[str, Any] = {"episode_length": 2**20, "num_evaluation_episodes": 1024}
+    long: dict[str, Any] = {"episode_length": 2**20, "num_evaluation_episodes": 2048}
     makers = {
         "ailsrs": lambda: make_ailsrs(point_mass, point_mass_expert, AilsrsSettings(**long)),
         "ars": lambda: make_ars(point_mass, ArsSettings(num_directions=512, **long)),

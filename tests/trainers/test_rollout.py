@@ -81,8 +81,12 @@ def test_slots_are_refilled_and_the_episodes_are_the_same(
     assert int(plain.env_steps) == int(packed.env_steps) <= int(packed.slot_steps)
     utilization = float(packed.env_steps / packed.slot_steps)
     assert utilization > (0.85 if batch_size <= 8 else 0.65)
-    for name in ("observations", "actions", "env_rewards", "lengths"):
-        np.testing.assert_array_equal(getattr(plain, name), getattr(packed, name))
+    np.testing.assert_array_equal(plain.lengths, packed.lengths)
+    for name in ("observations", "actions", "env_rewards"):
+        # XLA fuses a step of so few simulations otherwise, which can round otherwise.
+        np.testing.assert_allclose(
+            getattr(plain, name), getattr(packed, name), rtol=1e-5, atol=1e-6
+        )
 
 
 def test_slots_are_shared_by_what_vmap_merges(point_mass: PointMass) -> None:

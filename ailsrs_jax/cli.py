@@ -114,7 +114,7 @@ def train(
         highlight=False,
         soft_wrap=True,
     )
-    stop = StopSignals(console)
+    stop = StopSignals()
     try:
         with stop, RunProgress(console) as bar:
             result = run.execute(

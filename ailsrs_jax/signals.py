@@ -4,12 +4,13 @@ import contextlib
 import os
 import signal
 import socket
+import sys
 import threading
 from types import TracebackType
 
-from rich.console import Console
-
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SHOW_CURSOR = b"\x1b[?25h"
+NOTE = ": stopping after this iteration; once more to stop at once, without saving"
 
 
 class StopSignals:
@@ -20,8 +21,7 @@ class StopSignals:
     thread listens, which the interpreter tells of a signal as it arrives.
     """
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self) -> None:
         self.received: signal.Signals | None = None
 
     def __call__(self) -> bool:
@@ -55,12 +55,10 @@ class StopSignals:
                 if number[0] not in self._handlers:
                     continue
                 if self.received is not None:
-                    with contextlib.suppress(Exception):  # the terminal may be gone
-                        self._console.show_cursor()
+                    if sys.__stdout__ is not None and sys.__stdout__.isatty():
+                        os.write(1, SHOW_CURSOR)  # which a progress bar has hidden
                     os._exit(128 + number[0])
                 self.received = signal.Signals(number[0])
-                with contextlib.suppress(Exception):
-                    self._console.print(
-                        f"{self.received.name}: stopping after this iteration; once more to stop "
-                        "at once, and lose what was done since the last checkpoint"
-                    )
+                # At once, past all that draws on the terminal: the next signal may be there.
+                with contextlib.suppress(OSError):  # nobody reads any longer
+                    os.write(2, f"\n{self.received.name}{NOTE}\n".encode())

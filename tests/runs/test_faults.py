@@ -100,7 +100,7 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     process.send_signal(signal.SIGTERM)
     code, errors = finish(process)
     assert code == 128 + signal.SIGTERM
-    assert errors.startswith("SIGTERM: stopping after this iteration; once more to stop at once")
+    assert errors.startswith("\nSIGTERM: stopping after this iteration; once more to stop at once")
     assert "Traceback" not in errors
     # The one of the first iteration, and where it was told to stop.
     done = (num_rows(output) - 1) // 2

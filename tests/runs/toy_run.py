@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
@@ -51,7 +50,7 @@ def plan(num_iterations: int, algorithm: str) -> run.Plan:
 
 
 def main(output: Path, num_iterations: int, checkpoint_every: int, algorithm: str) -> None:
-    stop = StopSignals(Console(stderr=True))
+    stop = StopSignals()
     try:
         with stop:
             run.execute(

@@ -194,10 +194,12 @@ class Ailsrs(Trainer):
             }
         )
         all_returns = jnp.stack([returns_plus, returns_minus])
-        all_returns = jnp.where(jnp.isnan(all_returns), jnp.nanmean(all_returns), all_returns)
+        mean_return = all_returns.mean()
         metrics = {
             **evaluated,
-            "imitation_reward": all_returns.mean(),
+            "imitation_reward": jnp.where(
+                jnp.isnan(mean_return), jnp.nanmean(all_returns), mean_return
+            ),
             **adversary_metrics,
             **count_episodes(batch, num_evaluations, devices),
         }

@@ -152,7 +152,7 @@ def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
 
 
 @pytest.mark.slow  # rolls out the shipped experts
-@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 78)])
+@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 72)])
 def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
     assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells
 

@@ -122,12 +122,15 @@ def require_finite(state: Any) -> None:
         assert np.isfinite(leaf).all()
 
 
-@pytest.mark.parametrize("name", [
+@pytest.mark.parametrize(
+    "name",
+    [
         "ailsrs",
         "gail",
         # What these have of their own is in the tests of runs, below, and of GAIL.
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("ars", "trpo", "bc")),
-    ])
+    ],
+)
 def test_training_goes_on(name: str, point_mass_expert: Demonstrations) -> None:
     """With three episodes of ten that diverge, and without a single one that does not."""
 

@@ -379,6 +379,83 @@ def read_sweep_results(path: Path) -> object:
     return [cell.normalized_over_training for cell in read_results(path).cells]
 
 
+def sweep_spec() -> dict[str, Any]:
+    return {
+        "episodes": 3,
+        "grid": [
+            {"env": ["hopper"], "algorithm": "ars", "seeds": [0, 1], "settings": {"noise_std": 1}},
+            {"env": "swimmer", "algorithm": "trpo", "label": "b", "settings": {"discount": [1]}},
+        ],
+    }
+
+
+def make_spec(path: Path, rng: Rng) -> None:
+    """TOML has tables, lists, texts and numbers, as JSON has; only the brackets differ."""
+    tree: Any = sweep_spec()
+    for _ in range(rng.choice([0, 1, 1, 2])):
+        tree = mutate_tree(tree, rng)
+    text = toml(tree) if isinstance(tree, dict) else str(tree)
+    if rng.random() < 0.03:
+        text = "a = " + rng.choice(["[" * 10**5, "{a=" * 10**5, "9" * 10**5, " " * 2**21])
+    content = text.encode(errors="replace")
+    path.write_bytes(mutate_bytes(content, rng) if rng.random() < 0.3 else content)
+
+
+def toml(table: dict[str, Any]) -> str:
+    """Inline tables only."""
+    return "".join(f"{json.dumps(key)} = {toml_value(value)}\n" for key, value in table.items())
+
+
+def toml_value(value: Any) -> str:
+    try:
+        if isinstance(value, dict):
+            pairs = (f"{json.dumps(key)} = {toml_value(each)}" for key, each in value.items())
+            return f"{{{', '.join(pairs)}}}"
+        if isinstance(value, list):
+            return f"[{', '.join(map(toml_value, value))}]"
+        return "''" if value is None else json.dumps(value).replace("Infinity", "inf").lower()
+    except (RecursionError, ValueError):
+        return "[" * 1000
+
+
+def read_sweep_spec(path: Path) -> object:
+    from ailsrs_jax.runs.sweep_spec import expand, read_spec
+
+    return expand(read_spec(path))
+
+
+def make_sweep(path: Path, rng: Rng) -> None:
+    """The directory of a shard: its grid, or the result of its cell, damaged."""
+    from ailsrs_jax.runs.sweep_cells import Cell
+
+    texts = {"name": "a-seed0", "label": "A", "algorithm": "ars", "env_id": "Hopper-v5"}
+    cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(Cell)}
+    files: dict[str, Any] = {
+        "sweep.json": {"cells": [cell | {"settings": {}, "all_settings": {}}], "episodes": 3},
+        "cells/a-seed0/result.json": {
+            "row": {"cell": "a-seed0", "status": "done", "return_mean": 1.0},
+            "timing": {"cell": "a-seed0", "train_seconds": 1.0},
+        },
+    }
+    (path / "cells" / "a-seed0").mkdir(parents=True)
+    damaged = rng.choice(sorted(files))
+    for name, tree in files.items():
+        content = mutated_json(tree, rng) if name == damaged else json.dumps(tree).encode()
+        (path / name).write_bytes(content)
+    rows: list[list[Any]] = [["iteration", "seed", "env_steps"], [0, 0, 10], [1, 0, 20]]
+    metrics = path / "cells" / "a-seed0" / "metrics.csv"
+    if rng.random() < 0.3:
+        make_csv(rows, metrics, rng)
+    else:
+        metrics.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+
+
+def read_sweep(path: Path) -> object:
+    from ailsrs_jax.runs.sweep import merge_sweeps
+
+    return merge_sweeps(path / "merged", [path])
+
+
 def read_metrics(path: Path) -> object:
     from ailsrs_jax.runs import tracking
 
@@ -555,6 +632,8 @@ READERS = {
     "config": Reader(15, copied(lambda _: config().as_json()), read_config),
     "metrics": Reader(10, make_metrics, read_metrics),
     "results": Reader(5, make_results, read_sweep_results),
+    "sweep spec": Reader(4, make_spec, read_sweep_spec),
+    "sweep": Reader(5, make_sweep, read_sweep),
     "imitation": Reader(6, make_imitation, read_imitation),
     "minari": Reader(3, make_minari, read_minari),
     "checkpoints": Reader(1, make_checkpoints, read_checkpoints),
@@ -625,8 +704,9 @@ def work(name: str, first: int, last: int, directory: Path, results: Any) -> Non
     import jax
 
     jax.config.update("jax_platforms", "cpu")
-    os.environ["MINARI_DATASETS_PATH"] = str(directory / "datasets")
     os.chdir(directory)
+    os.environ["MINARI_DATASETS_PATH"] = str(directory / "datasets")
+    os.environ["XDG_CACHE_HOME"] = str(directory / "cache")
     devnull = os.open(directory / "stderr", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(devnull, 2)
     warnings.simplefilter("ignore")

@@ -73,22 +73,37 @@ def require_file(path: Path) -> None:
         raise UserError(f"{path} is not a file")
 
 
-def read_json_object(path: Path, what: str) -> dict[str, Any]:
-    """Read a small JSON file that should hold ``what``, an object.
+def read_small(path: Path, limit: int = MAX_JSON) -> bytes:
+    """What a file holds, of at most ``limit`` bytes.
 
     Raises:
-        UserError: it is missing, damaged, or something else.
+        UserError: it is no file, or cannot be read.
+        ValueError: it is longer.
     """
     require_file(path)
     try:
         with path.open("rb") as file:
-            content = file.read(MAX_JSON + 1)
-        if len(content) > MAX_JSON:
-            raise ValueError("it is too long")
-        value = json.loads(content)
+            content = file.read(limit + 1)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    if len(content) > limit:
+        raise ValueError("it is too long")
+    return content
+
+
+def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, Any]:
+    """Read a JSON file of at most ``limit`` bytes that should hold ``what``, an object.
+
+    Raises:
+        UserError: it is missing, damaged, or something else.
+    """
+    try:
+        value = json.loads(read_small(path, limit))
         if not isinstance(value, dict):
             raise ValueError("it is no JSON object")
-    except (OSError, ValueError, RecursionError) as error:
+    except UserError:
+        raise
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not {what}: {one_line(error)}") from error
     return value
 

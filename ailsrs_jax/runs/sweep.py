@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.data.files import read_json_object, write_atomically
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Result, execute
 from ailsrs_jax.runs.stacking import execute_stack
@@ -229,10 +229,13 @@ def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list
     """
     path = stack_directory / "cells.json"
     if path.exists():
-        names = json.loads(path.read_text())
-        return [cell for cell in unit if cell.name in names]
+        names = read_json_object(path, "of a stack; delete its directory").get("cells")
+        together = [cell for cell in unit if isinstance(names, list) and cell.name in names]
+        if not together:
+            raise UserError(f"{path} is of another stack: delete its directory")
+        return together
     if len(pending) > 1:
-        text = json.dumps([cell.name for cell in pending])
+        text = json.dumps({"cells": [cell.name for cell in pending]})
         write_atomically(path, lambda file: file.write(text.encode()))
     return list(pending)
 

@@ -2,12 +2,16 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.data.files import write_atomically
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.data.files import read_json_object, write_atomically
+from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Plan, make_plan
+
+PLAIN_NAME = re.compile(r"\w[\w.=+-]*")  # of a cell: a directory of its own, nowhere else
+MAX_SWEEP = 2**26  # bytes of sweep.json; a cell has about 2000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,10 +110,26 @@ def load_sweep(path: Path) -> Sweep:
     """Read ``sweep.json``.
 
     Raises:
-        UserError: it cannot be read.
+        UserError: it is missing, damaged, or something else's.
     """
+    fields = read_json_object(path, "of a sweep", MAX_SWEEP)
     try:
-        fields = json.loads(path.read_text())
-        return Sweep(tuple(Cell(**cell) for cell in fields["cells"]), fields["episodes"])
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise UserError(f"cannot read {path}: it is no sweep's, or damaged") from error
+        cells = tuple(Cell(**cell) for cell in fields["cells"])
+        names = [cell.name for cell in cells]
+        # They become directories.
+        if len(set(names)) < len(names) or not all(map(PLAIN_NAME.fullmatch, names)):
+            raise ValueError("a name is odd")
+        if not all(map(_is_flat, cells)) or not isinstance(fields["episodes"], int):
+            raise ValueError("a value is odd")
+        return Sweep(cells, fields["episodes"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise UserError(f"{path} is not of a sweep, or damaged: {one_line(error)}") from error
+
+
+def _is_flat(cell: Cell) -> bool:
+    """Whether a cell from a file has tables where they belong, and nowhere else."""
+    tables = (cell.settings, cell.all_settings)
+    values = [value for name, value in vars(cell).items() if not name.endswith("settings")]
+    values += [value for table in tables if isinstance(table, dict) for value in table.values()]
+    is_flat = not any(isinstance(value, dict | list) for value in values)
+    return is_flat and all(isinstance(table, dict) for table in tables)

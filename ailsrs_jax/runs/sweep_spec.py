@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import itertools
+import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -11,7 +12,9 @@ from typing import Any
 
 import jax
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.data.files import read_small
+from ailsrs_jax.envs.registry import require_harmless
+from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.config import RunConfig, require_seed
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.run import make_plan
@@ -43,6 +46,8 @@ DEFAULTS: dict[str, Any] = {
 }
 EPISODES = 100  # of each kept policy, in Gymnasium's own environment
 
+MOST_CELLS = 10_000  # more is a mistake, and would take hours to check
+
 LONGEST_NAME = 100  # characters; with room for what files in a directory of that name are called
 
 
@@ -50,16 +55,21 @@ def read_spec(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises:
-        UserError: it cannot be read, or is not TOML.
+        UserError: it cannot be read, is not TOML, or names an environment that is not safe to open.
     """
     try:
-        return tomllib.loads(path.read_text())
-    except FileNotFoundError:
-        raise UserError(f"no such file: {path}") from None
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise UserError(f"{path} is not TOML: {error}") from error
+        spec = tomllib.loads(read_small(path).decode())
+    except UserError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path} is not TOML: {one_line(error)}") from error
+    entries = spec.get("grid")
+    for table in (spec, *(entries if isinstance(entries, list) else ())):
+        names = table.get("env") if isinstance(table, dict) else None
+        for name in names if isinstance(names, list) else (names,):
+            if isinstance(name, str):  # what else it may be, expand() says
+                require_harmless(name, str(path))
+    return spec
 
 
 def expand(spec: Mapping[str, Any]) -> Sweep:
@@ -90,6 +100,8 @@ def expand(spec: Mapping[str, Any]) -> Sweep:
                 raise UserError(f"{where}: {cell.name} is already in {made_by[cell.name]}")
             cells[cell.name] = cell
             made_by[cell.name] = where
+            if len(cells) > MOST_CELLS:
+                raise UserError(f"{where}: the sweep has more than {MOST_CELLS:,} cells")
     return Sweep(tuple(cells.values()), episodes)
 
 
@@ -111,6 +123,8 @@ def _expand_entry(where: str, common: dict[str, Any], entry: Any) -> Iterator[Ce
     seeds = _values(where, "seeds", given["seeds"])
     axes = {key: _values(where, key, given[key]) for key in AXES if key != "seeds"}
     axes |= {key: _values(where, key, value) for key, value in settings.items()}
+    if math.prod(map(len, axes.values())) * len(seeds) > MOST_CELLS:
+        raise UserError(f"{where}: it stands for more than {MOST_CELLS:,} cells")
     for values in itertools.product(*axes.values()):
         point = dict(zip(axes, values, strict=True))
         yield from _check_group(where, point, seeds, label)

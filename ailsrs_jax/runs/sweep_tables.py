@@ -4,15 +4,16 @@ import csv
 import functools
 import io
 import json
+import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import numpy as np
 
-from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.data.files import read_json_object, write_atomically
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
@@ -151,13 +152,21 @@ def load_result(directory: Path) -> tuple[TableRow, TableRow | None] | None:
         UserError: the file is damaged.
     """
     path = directory / RESULT_FILE
-    try:
-        content = json.loads(path.read_text())
-        return content["row"], content["timing"]
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"cannot read {path}: delete it to evaluate the cell again") from error
+    content = read_json_object(path, "the result of a cell; delete it to evaluate the cell again")
+    row, timing = content.get("row"), content.get("timing")
+    if (
+        not (_is_flat(row) and isinstance(row.get("status"), str))
+        or not (timing is None or _is_flat(timing))
+        or row.get("cell") != directory.name  # it becomes a path
+    ):
+        raise UserError(f"{path} is not of this cell; delete it to evaluate the cell again")
+    return row, timing
+
+
+def _is_flat(row: Any) -> TypeGuard[TableRow]:
+    return isinstance(row, dict) and not any(isinstance(x, dict | list) for x in row.values())
 
 
 def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
@@ -185,7 +194,7 @@ def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
         if row["status"] == DONE:
             header, *lines = read_rows(output / "cells" / row["cell"] / "metrics.csv")
             for line in lines:
-                yield {"cell": row["cell"]} | dict(zip(header, line, strict=True))
+                yield {"cell": row["cell"]} | dict(zip(header, line, strict=False))
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[TableRow]) -> None:

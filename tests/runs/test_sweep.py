@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,14 @@ from ailsrs_jax.runs.evaluation import evaluate_random
 from ailsrs_jax.runs.sweep import choose_units, merge_sweeps
 from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
-from ailsrs_jax.runs.sweep_tables import CURVE_COLUMNS, RESULT_COLUMNS, TIMING_COLUMNS
+from ailsrs_jax.runs.sweep_tables import (
+    CURVE_COLUMNS,
+    DONE,
+    RESULT_COLUMNS,
+    TIMING_COLUMNS,
+    load_result,
+    save_result,
+)
 from tests.point_mass import PointMass, point_mass_demonstrations
 from tests.test_cli import ailsrs
 
@@ -138,17 +146,41 @@ def test_a_mistake_anywhere_is_found_before_anything_runs(
 
 def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
     Path("broken.toml").write_text("[[grid")
+    Path("deep.toml").write_text("a = " + "[" * 10**5)
+    Path("long.toml").write_text(" " * 2**21)
+    Path("hostile.toml").write_text('[[grid]]\nenv = ["hopper", "os:abort"]')
+    seeds = list(range(5001))
+    Path("endless.toml").write_text(f'[[grid]]\nenv = ["hopper", "swimmer"]\nseeds = {seeds}')
     for path, message in {
         "missing.toml": "no such file",
         "broken.toml": "is not TOML",
-        ".": "cannot read",
+        ".": "is not a file",
+        "deep.toml": "is not TOML",
+        "long.toml": "too long",
+        "hostile.toml": "it could do anything, so it is not looked up",
+        "endless.toml": "more than 10,000 cells",
     }.items():
         with pytest.raises(ail.UserError, match=message):
             ail.sweep(path, "sweep")
     Path("sweep").mkdir()
     Path("sweep/sweep.json").write_text("{}")
-    with pytest.raises(ail.UserError, match="it is no sweep's, or damaged"):
+    with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
         load_sweep(Path("sweep/sweep.json"))
+
+
+def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
+    sweep = expand(quick_grid())
+    for name in ("../outside", "/tmp/outside", "..", "", "a/b"):
+        hostile = dataclasses.replace(sweep.cells[0], name=name)
+        path = Path("sweep.json")
+        path.write_text(
+            json.dumps(dataclasses.asdict(dataclasses.replace(sweep, cells=(hostile,))))
+        )
+        with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
+            load_sweep(path)
+    save_result(Path("a"), {"cell": "../b", "status": DONE}, None)
+    with pytest.raises(ail.UserError, match="is not of this cell; delete it"):
+        load_result(Path("a"))
 
 
 @pytest.mark.slow  # rolls out the shipped experts
@@ -293,7 +325,7 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
     ail.sweep(quick_grid(), "other")
     with pytest.raises(ail.UserError, match="other holds another sweep"):
         merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
-    with pytest.raises(ail.UserError, match="cannot read"):
+    with pytest.raises(ail.UserError, match="no such file"):
         merge_sweeps(Path("merged"), [Path("nowhere")])
 
 

@@ -41,7 +41,8 @@ def load_minari(
 
     Args:
         dataset_id: such as ``mujoco/hopper/expert-v0``.
-        env_id: the Gymnasium environment that it has to be of, with its default arguments.
+        env_id: the Gymnasium environment that it has to be of, with its default arguments; or one's
+            own task, ``module:attribute``, whose dataset may leave out what it is of.
         num_trajectories: read no more than the first so many whole episodes.
 
     Returns:
@@ -89,9 +90,10 @@ def load_minari(
 def require_new_minari(dataset_id: str, env_id: str) -> None:
     """Raise UserError unless such a dataset can be made: for asking before a long run."""
     minari = _import_minari()
-    if env_id not in gymnasium.registry:
+    if env_id not in gymnasium.registry and not _is_own(env_id):
         raise UserError(
-            f"a Minari dataset is of one of Gymnasium's environments, not {env_id}: write a .npz"
+            f"a Minari dataset is of one of Gymnasium's environments, or of module:attribute, not "
+            f"of {env_id}: write a .npz"
         )
     try:
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
@@ -109,6 +111,9 @@ def require_new_minari(dataset_id: str, env_id: str) -> None:
 def save_minari(recording: Recording, dataset_id: str) -> None:
     """Write a new dataset of one of Gymnasium's environments, with the default arguments.
 
+    Of one's own task, ``module:attribute``, it has the name, but neither the code nor the ranges of
+    observations and actions.
+
     Raises:
         UserError: it cannot be made.
     """
@@ -118,15 +123,23 @@ def save_minari(recording: Recording, dataset_id: str) -> None:
     require_new_minari(dataset_id, demonstrations.env_id)
     minari = _import_minari()
     time_limit = demonstrations.observations.shape[1]
-    spec = copy.deepcopy(gymnasium.spec(demonstrations.env_id))
-    spec.max_episode_steps = time_limit
+    env: EnvSpec | gymnasium.Env[Any, Any]
+    if _is_own(demonstrations.env_id):
+        env = gymnasium.Env()  # of which Minari only asks the following
+        env.spec = EnvSpec(demonstrations.env_id, max_episode_steps=time_limit)
+        sizes = (demonstrations.observations.shape[2], demonstrations.actions.shape[2])
+        boxes = (gymnasium.spaces.Box(-np.inf, np.inf, (size,)) for size in sizes)
+        env.observation_space, env.action_space = boxes
+    else:
+        env = copy.deepcopy(gymnasium.spec(demonstrations.env_id))
+        env.max_episode_steps = time_limit
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that nobody's name and address are in it
             minari.create_dataset_from_buffers(
                 dataset_id,
                 _buffers(recording, minari),
-                env=spec,
+                env=env,
                 algorithm_name="ailsrs_jax",
             )
     except Exception as error:  # a full disk, or what Minari finds wrong
@@ -212,10 +225,28 @@ def _import_minari() -> Any:
 def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
     """The time limit in steps, if any, of the dataset's environment, which has to be ``env_id``."""
     spec = dataset.env_spec
-    if spec is None:
+    if spec is None and not _is_own(env_id):
         raise UserError(f"{source} does not say which environment it is of")
+    if spec is not None:
+        _require_same_task(spec, env_id, source)
+    for name in ("observation_space", "action_space"):
+        space = getattr(dataset, name)
+        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+            raise UserError(f"{source}: its {name} is {space}, not a box of numbers")
+    limit = None if spec is None else spec.max_episode_steps
+    return None if limit is None or limit > LONGEST_TIME_LIMIT else int(limit)
+
+
+def _is_own(env_id: str) -> bool:
+    """Whether it is called ``module:attribute``; no module is imported."""
+    return ":" in env_id
+
+
+def _require_same_task(spec: EnvSpec, env_id: str, source: str) -> None:
     if spec.id != env_id:
         raise UserError(f"{source} is of {spec.id}, not of {env_id}")
+    if _is_own(env_id):
+        return
     if env_id not in gymnasium.registry:
         raise UserError(f"{source}: {env_id} is none of Gymnasium's environments")
     changed = _changed_arguments(spec)
@@ -224,12 +255,6 @@ def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
             f"{source} is of {env_id} with {', '.join(changed)}: only with the default arguments "
             "is it the same task"
         )
-    for name in ("observation_space", "action_space"):
-        space = getattr(dataset, name)
-        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
-            raise UserError(f"{source}: its {name} is {space}, not a box of numbers")
-    limit = spec.max_episode_steps
-    return None if limit is None or limit > LONGEST_TIME_LIMIT else int(limit)
 
 
 def _changed_arguments(spec: EnvSpec) -> list[str]:

@@ -75,6 +75,40 @@ def test_there_and_back() -> None:
         assert (episode.terminations[-1], episode.truncations[-1]) == (index != 0, index == 0)
 
 
+def test_of_ones_own_task() -> None:
+    recording = hopper_recording()
+    ours = recording.demonstrations.replace(env_id="my_tasks:Hopper")
+    save_minari(dataclasses.replace(recording, demonstrations=ours), "own/hopper-v0")
+    loaded, num_left_out = load_minari("own/hopper-v0", "my_tasks:Hopper")
+    assert num_left_out == 0
+    for name in ("observations", "actions", "lengths"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(ours, name))
+    for other in ("my_tasks:Slider", "Hopper-v5"):
+        with pytest.raises(UserError, match=f"is of my_tasks:Hopper, not of {other}"):
+            load_minari("own/hopper-v0", other)
+
+
+def test_of_ones_own_task_by_somebody_else() -> None:
+    """Who has no environment of Gymnasium's, and no time limit."""
+    box = gymnasium.spaces.Box(-1, 1, (2,))
+    episode = minari.data_collector.EpisodeBuffer(
+        observations=np.zeros((4, 2), np.float32),
+        actions=np.ones((3, 2), np.float32),
+        rewards=np.ones(3, np.float32),
+        terminations=[False, False, True],
+        truncations=[False] * 3,
+    )
+    with warnings.catch_warnings(action="ignore"):
+        minari.create_dataset_from_buffers(
+            "own/slider-v0", [episode], observation_space=box, action_space=box
+        )
+    loaded, num_left_out = load_minari("own/slider-v0", "my_tasks:Slider")
+    assert (loaded.env_id, num_left_out) == ("my_tasks:Slider", 0)
+    assert loaded.observations.shape == (1, 6, 2)
+    with pytest.raises(UserError, match="does not say which environment"):
+        load_minari("own/slider-v0", "Hopper-v5")
+
+
 def test_only_as_many_as_are_needed() -> None:
     save_minari(hopper_recording(), "hopper/ours-v0")
     loaded, _ = load_minari("hopper/ours-v0", "Hopper-v5", num_trajectories=2)
@@ -290,14 +324,14 @@ def test_datasets_that_cannot_be_made(datasets: Path, monkeypatch: pytest.Monkey
     save_minari(recording, "hopper/ours-v0")
     own, states_alone = (
         dataclasses.replace(recording, demonstrations=recording.demonstrations.replace(**change))
-        for change in ({"env_id": "my_tasks:Slider"}, {"actions": None})
+        for change in ({"env_id": "PointMass"}, {"actions": None})
     )
     for message, call in {
         "hopper/ours-v0 exists": lambda: save_minari(recording, "hopper/ours-v0"),
         "as hopper/mine-v0 is, not hopper v0": lambda: save_minari(recording, "hopper v0"),
         "as hopper/mine-v0 is, not hopper": lambda: save_minari(recording, "hopper"),
         "holds every step": lambda: save_minari(states_alone, "hopper/other-v0"),
-        "not my_tasks:Slider": lambda: save_minari(own, "hopper/other-v0"),
+        "not of PointMass: write a .npz": lambda: save_minari(own, "hopper/other-v0"),
     }.items():
         with pytest.raises(UserError) as caught:
             call()

@@ -8,16 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
+from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.runs.tracking import read_rows
+from tests.point_mass import PointMass, point_mass_demonstrations
 
-COMMAND = "train swimmer --iterations 2 --seeds 0 5 --num-trajectories 2 --physics mujoco --set"
-SETTINGS = "num_directions=4 num_top_directions=2 episode_length=30 memory_samples=80"
+ENV_ID = "tests.point_mass:PointMass"
+COMMAND = f"train {ENV_ID} --demonstrations point_mass.npz --iterations 2 --seeds 0 5"
+SETTINGS = "num_directions=4 num_top_directions=2 episode_length=20 memory_samples=80"
 
 
 def start(output: Path, *flags: str, **environment: str) -> subprocess.Popen[str]:
-    arguments = [*COMMAND.split(), *SETTINGS.split(), "--output", str(output), *flags]
+    arguments = [*COMMAND.split(), "--set", *SETTINGS.split(), "--output", output.name, *flags]
+    environment["JAX_NUM_CPU_DEVICES"] = "1"
+    environment["PYTHONPATH"] = str(Path(__file__).parents[2])
     return subprocess.Popen(
         [sys.executable, "-m", "ailsrs_jax", *arguments],
+        cwd=output.parent,
         env=os.environ | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -32,6 +38,8 @@ def finish(process: subprocess.Popen[str]) -> str:
 
 
 def test_two_processes_are_one_run(tmp_path: Path) -> None:
+    recorded = point_mass_demonstrations(PointMass()).replace(env_id=ENV_ID)
+    save_demonstrations(recorded, tmp_path / "point_mass.npz")
     job = {
         "SLURM_JOB_ID": str(random.randrange(10**6)),  # JAX takes its port from this
         "SLURM_STEP_NODELIST": "localhost",
@@ -45,7 +53,7 @@ def test_two_processes_are_one_run(tmp_path: Path) -> None:
     first, second = map(finish, processes)
     assert "devices: 2" in first
     assert "policies, metrics" in first
-    assert "Swimmer" not in second  # only the first prints and writes
+    assert "PointMass" not in second  # only the first prints and writes
     finish(start(alone))
 
     header, *rows = read_rows(together / "metrics.csv")

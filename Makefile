@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 
-.PHONY: train test lint peer clean
+.PHONY: train test lint docs peer clean
 
 train: $(VENV)/installed
 	$(VENV)/bin/ailsrs train hopper $(ARGS)
@@ -15,6 +15,10 @@ lint: $(VENV)/installed
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
+
+docs: $(VENV)/installed
+	$(VENV)/bin/sphinx-build -W --keep-going -q -c docs . site
+	@echo site/index.html
 
 # Optional: another package's GAIL beside ours, in an environment of its own.
 peer: $(VENV)/installed .venv-peer/installed
@@ -32,4 +36,4 @@ $(VENV)/installed: pyproject.toml
 	touch $@
 
 clean:
-	rm -rf $(VENV) .venv-peer .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-peer site .mypy_cache .pytest_cache .ruff_cache .hypothesis

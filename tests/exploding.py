@@ -62,7 +62,7 @@ STIFF_SLIDER = """
 
 
 class StiffSlider(MujocoTask):
-    """The slider of docs/own_task.md, starting anywhere within ±0.5: three of ten episodes diverge."""
+    """docs/own_task.md's slider, starting within ±0.5: three of ten episodes diverge."""
 
     def __init__(self, physics: str, directory: Path) -> None:
         path = directory / "stiff_slider.xml"

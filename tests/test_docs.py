@@ -1,17 +1,29 @@
-"""What docs/own_task.md says about a task of one's own, followed to the letter."""
+"""The documentation: it builds, and what it says to type is right."""
 
+import functools
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import tyro
 
+import ailsrs_jax
+from ailsrs_jax.arguments import assignments
+from ailsrs_jax.cli import app
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import load_policy
+from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.trainers.settings import override
 from tests.test_cli import TINY, ailsrs
 
-PAGE = Path(__file__).parent.parent / "docs" / "own_task.md"
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+OWN_TASK = ROOT / "docs" / "own_task.md"
 
 # Added to each command as it stands, so that it takes seconds.
 SMALLER = {
@@ -22,11 +34,97 @@ SMALLER = {
 }
 
 
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; a warning is an error."""
+    output = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-c",
+        "docs",
+        ".",
+        output,
+    ]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return output
+
+
+def test_references_are_complete(site: Path) -> None:
+    reference = (site / "docs" / "reference.html").read_text()
+    for name in ailsrs_jax.__all__:
+        assert f'id="ailsrs_jax.{name}"' in reference, name
+    assert 'id="ailsrs_jax.AilsrsSettings.gradient_penalty"' in reference  # inherited
+    command_line = (site / "docs" / "command_line.html").read_text()
+    for command in app._subcommands:
+        assert f"usage: ailsrs {command}" in command_line, command
+
+
+def test_a_reader_needs_no_network(site: Path) -> None:
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 15
+    for page in pages:
+        loaded = re.findall(r"<(?:script|img|link)\b[^>]*(?:src|href)=\"(.*?)\"", page.read_text())
+        assert not [url for url in loaded if ":" in url.split("?")[0]], page
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"url\(\W?(https?:)?//", sheet.read_text()), sheet
+
+
+def test_formulas_are_mathml(site: Path) -> None:
+    method = (site / "docs" / "method.html").read_text()
+    source = (ROOT / "docs" / "method.md").read_text()
+    assert method.count('<math xmlns="http://www.w3.org/1998/Math/MathML" display="block"') == (
+        source.count("\n$$\n") // 2
+    )
+    assert "\\mathbb" not in method
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_can_be_typed(page: Path) -> None:
+    """All of them are parsed, and their settings looked up; none is run."""
+    parser = tyro.extras.SubcommandApp()
+    for name, command in app._subcommands.items():
+        parser.command(_parsed_only(command.target), name=name)
+    for line in "".join(blocks(page, "sh")).splitlines():
+        _, found, arguments = line.partition("ailsrs ")
+        if not found or not arguments[0].isalpha():
+            continue
+        try:
+            parser.cli(args=shlex.split(arguments, comments=True))
+        except SystemExit:
+            pytest.fail(line)
+
+
+def _parsed_only(command: Any) -> Any:
+    @functools.wraps(command)
+    def check(*_: Any, **parsed: Any) -> None:
+        if command.__name__ == "train":
+            settings = preset_settings(parsed["env"], parsed["preset"], parsed["algorithm"])
+            override(settings, assignments(parsed["settings"]))
+
+    return check
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    """On a code host too, where Sphinx does not look."""
+    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / link).exists(), link
+
+
 def test_a_task_of_ones_own(in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    blocks = dict(reversed(re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(), re.DOTALL)))
-    Path("slider.xml").write_text(blocks["xml"])
-    Path("my_tasks.py").write_text(blocks["python"])
-    for line in blocks["sh"].splitlines():
+    Path("slider.xml").write_text(blocks(OWN_TASK, "xml")[0])
+    Path("my_tasks.py").write_text(blocks(OWN_TASK, "python")[0])
+    for line in blocks(OWN_TASK, "sh")[0].splitlines():
         program, command, *arguments = shlex.split(line)
         assert program == "ailsrs"
         assert ailsrs(monkeypatch, command, *arguments, *SMALLER[command].split()) == 0, line

@@ -22,12 +22,12 @@ class Demonstrations(struct.PyTreeNode):
     end mean nothing. Without actions they are for imitation from observations alone.
     """
 
-    observations: jax.Array | np.ndarray  # (E, T, n) float32
-    actions: jax.Array | np.ndarray | None  # (E, T, p) float32, as applied
-    lengths: jax.Array | np.ndarray  # (E,) int32, entries of each episode, between 1 and T
-    returns: jax.Array | np.ndarray  # (E,) float32, of the environment's reward; never trained on
+    observations: jax.Array | np.ndarray  #: (E, T, n) float32
+    actions: jax.Array | np.ndarray | None  #: (E, T, p) float32, as applied
+    lengths: jax.Array | np.ndarray  #: (E,) int32, entries of each episode, between 1 and T
+    returns: jax.Array | np.ndarray  #: (E,) float32, of the environment's reward; never trained on
     env_id: str = struct.field(pytree_node=False)
-    stride: int = struct.field(pytree_node=False, default=1)  # environment steps between entries
+    stride: int = struct.field(pytree_node=False, default=1)  #: environment steps between entries
 
     @property
     def num_trajectories(self) -> int:

@@ -23,8 +23,8 @@ class Recording:
     """Demonstrations, and what only other formats ask for."""
 
     demonstrations: Demonstrations
-    env_rewards: np.ndarray  # (E, T) float32, of the environment
-    final_observations: np.ndarray  # (E, n) float32, what the last action led to
+    env_rewards: np.ndarray  #: (E, T) float32, of the environment
+    final_observations: np.ndarray  #: (E, n) float32, what the last action led to
 
 
 def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> Episode:

@@ -25,8 +25,8 @@ EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 class Evaluation:
     """Undiscounted returns and lengths of some episodes."""
 
-    returns: np.ndarray  # (E,), NaN of an episode that diverged
-    lengths: np.ndarray  # (E,)
+    returns: np.ndarray  #: (E,), NaN of an episode that diverged
+    lengths: np.ndarray  #: (E,)
 
     @property
     def mean(self) -> float:

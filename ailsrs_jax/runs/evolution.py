@@ -31,7 +31,7 @@ class EvolutionSettings:
     num_directions: int = 16
     noise_std: float = 0.05
     learning_rate: float = 0.02
-    hidden_size: int = 64  # tanh units in each of two layers
+    hidden_size: int = 64  #: tanh units in each of two layers
 
 
 class _Deterministic:

@@ -31,8 +31,8 @@ class PpoSettings:
     num_evaluation_episodes: int = 32
     episode_length: int = 1000
     num_envs: int = 32
-    unroll_length: int = 128  # steps of an environment in a batch
-    num_minibatches: int = 16  # of num_envs / num_minibatches environments each
+    unroll_length: int = 128  #: steps of an environment in a batch
+    num_minibatches: int = 16  #: of num_envs / num_minibatches environments each
     num_updates_per_batch: int = 10
     learning_rate: float = 3e-4
     entropy_cost: float = 0.0
@@ -40,9 +40,9 @@ class PpoSettings:
     gae_lambda: float = 0.98
     clipping_epsilon: float = 0.2
     reward_scaling: float = 0.1
-    hidden_size: int = 64  # tanh units in each of two layers
-    init_noise_std: float = 1.0  # of the Gaussian, in halves of the actions' range
-    stop_at: float = 0.0  # return at which to stop, keeping the policy nearest to it; 0: never
+    hidden_size: int = 64  #: tanh units in each of two layers
+    init_noise_std: float = 1.0  #: of the Gaussian, in halves of the actions' range
+    stop_at: float = 0.0  #: return at which to stop, keeping the policy nearest to it; 0: never
 
 
 class _StopError(Exception):

@@ -76,9 +76,9 @@ class Result:
     """What a run leaves."""
 
     config: RunConfig
-    policies: dict[int, SavedPolicy]  # the kept policy of each seed
-    kept_iterations: dict[int, int]  # when each was found
-    expert_returns: np.ndarray | None  # of the demonstrations, where there are any
+    policies: dict[int, SavedPolicy]  #: the kept policy of each seed
+    kept_iterations: dict[int, int]  #: when each was found
+    expert_returns: np.ndarray | None  #: of the demonstrations, where there are any
 
 
 def train(

@@ -31,13 +31,13 @@ class TrustRegionSettings:
     """Settings of :class:`ActorCritic`; the defaults are those of OpenAI Baselines' GAIL."""
 
     num_iterations: int = 160
-    updates_per_iteration: int = 10  # between two evaluations
+    updates_per_iteration: int = 10  #: between two evaluations
     num_envs: int = 8
-    batch_size: int = 1024  # steps of all environments together, for one step of the policy
+    batch_size: int = 1024  #: steps of all environments together, for one step of the policy
     episode_length: int = 1000
     discount: float = 0.995
-    advantage_decay: float = 0.97  # λ
-    max_divergence: float = 0.01  # in nats, of a step of the policy
+    advantage_decay: float = 0.97  #: λ
+    max_divergence: float = 0.01  #: in nats, of a step of the policy
     conjugate_gradient_steps: int = 10
     conjugate_gradient_damping: float = 0.1
     num_backtracks: int = 10

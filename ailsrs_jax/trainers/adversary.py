@@ -31,10 +31,10 @@ class AdversarySettings:
     discriminator_loss: Literal["least_squares", "cross_entropy"] = "least_squares"
     discriminator_learning_rate: float = 2.5e-4
     discriminator_steps: int = 3
-    discriminator_batch_size: int = 1000  # from each side
-    discriminator_entropy_bonus: float = 0.0  # weight of its judgements' entropy in the loss
-    gradient_penalty: float = 0.0  # weight of the penalty in the loss
-    imitation_reward: Literal["gail", "airl", "amp"] = "gail"  # read off the score
+    discriminator_batch_size: int = 1000  #: from each side
+    discriminator_entropy_bonus: float = 0.0  #: weight of its judgements' entropy in the loss
+    gradient_penalty: float = 0.0  #: weight of the penalty in the loss
+    imitation_reward: Literal["gail", "airl", "amp"] = "gail"  #: read off the score
 
 
 class AdversaryState(struct.PyTreeNode):

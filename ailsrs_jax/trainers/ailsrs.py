@@ -31,20 +31,20 @@ class AilsrsSettings(AdversarySettings):
 
     num_iterations: int = 100_000
     num_directions: int = 320
-    num_top_directions: int = 320  # the paper uses all
+    num_top_directions: int = 320  #: the paper uses all
     step_size: float = 0.02
-    final_step_size: float = 0.02  # reached linearly at the last iteration
+    final_step_size: float = 0.02  #: reached linearly at the last iteration
     noise_std: float = 0.03
     episode_length: int = 1000
-    memory_iterations: int = 1  # the discriminator sees the policies of so many iterations
-    memory_samples: int = 4000  # at least so many are remembered of each iteration
-    # What a step after an episode's end is worth, as a share of the mean over its live steps. At 1,
-    # the paper's, a rollout is worth the mean over its live steps; at 0 their sum, divided by T.
+    memory_iterations: int = 1  #: the discriminator sees the policies of so many iterations
+    memory_samples: int = 4000  #: at least so many are remembered of each iteration
+    #: What a step after an episode's end is worth, as a share of the mean over its live steps. At
+    #: 1, the paper's, a rollout is worth the mean over its live steps; at 0 their sum, over T.
     reward_after_end: float = 1.0
     behavior_cloning_start: bool = False
-    standardize_with: Literal["running", "expert"] = "running"  # whose statistics
+    standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     num_evaluation_episodes: int = 4
-    num_distance_samples: int = 1500  # from each side, for the choice of the policy to keep
+    num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 
 
 class TrainState(struct.PyTreeNode):

@@ -31,9 +31,9 @@ class ArsSettings:
     step_size: float = 0.02
     noise_std: float = 0.03
     episode_length: int = 1000
-    scale_by_std: bool = True  # False is BRS
-    normalize_observations: bool = True  # False is BRS and V1
-    survival_bonus: float = 0.0  # subtracted from the reward of every step
+    scale_by_std: bool = True  #: False is BRS
+    normalize_observations: bool = True  #: False is BRS and V1
+    survival_bonus: float = 0.0  #: subtracted from the reward of every step
     num_evaluation_episodes: int = 8
 
 

@@ -23,16 +23,16 @@ from ailsrs_jax.trainers.trainer import Trainer
 class BehaviorCloningSettings:
     """Settings of :class:`BehaviorCloning`; the paper says Adam and no more."""
 
-    num_iterations: int = 100  # at most
-    solver: Literal["adam", "ridge"] = "adam"  # ridge is the exact solution, in one iteration
+    num_iterations: int = 100  #: at most
+    solver: Literal["adam", "ridge"] = "adam"  #: ridge is the exact solution, in one iteration
     learning_rate: float = 1e-3
-    gradient_steps: int = 100  # of Adam, each iteration
+    gradient_steps: int = 100  #: of Adam, each iteration
     batch_size: int = 256
-    validation_fraction: float = 0.1  # of the demonstrations, not trained on
-    patience: int = 10  # iterations without a smaller validation loss until the end
+    validation_fraction: float = 0.1  #: of the demonstrations, not trained on
+    patience: int = 10  #: iterations without a smaller validation loss until the end
     episode_length: int = 1000
     num_evaluation_episodes: int = 4
-    num_distance_samples: int = 1500  # from each side
+    num_distance_samples: int = 1500  #: from each side
 
 
 class TrainState(struct.PyTreeNode):

@@ -41,16 +41,16 @@ CLONING_LEARNING_RATE = 3e-4
 class GailSettings(TrustRegionSettings, AdversarySettings):
     """Settings of :class:`Gail`; the defaults are those of OpenAI Baselines."""
 
-    policy_steps: int = 3  # of the policy for each of the discriminator
+    policy_steps: int = 3  #: of the policy for each of the discriminator
     discriminator_loss: Literal["least_squares", "cross_entropy"] = "cross_entropy"
     discriminator_learning_rate: float = 3e-4
     discriminator_steps: int = 1
     discriminator_batch_size: int = 1024
     discriminator_entropy_bonus: float = 1e-3
     behavior_cloning_start: bool = False
-    behavior_cloning_steps: int = 10_000  # of Adam
-    standardize_with: Literal["running", "expert"] = "running"  # whose statistics
-    num_distance_samples: int = 1500  # from each side, for the choice of the policy to keep
+    behavior_cloning_steps: int = 10_000  #: of Adam
+    standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
+    num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 
 
 class TrainState(struct.PyTreeNode):

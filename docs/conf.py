@@ -1,0 +1,134 @@
+"""The documentation as a site: ``make docs``.
+
+Pages are the repository's own Markdown files where they are, so that links read the same on a code
+host and here. What can be generated is: the command line from the commands' own help, the Python
+reference from docstrings. Nothing is fetched from the network, neither here nor by a reader's
+browser: formulas are MathML, fonts the reader's own.
+"""
+
+import dataclasses
+import importlib
+import itertools
+import os
+import subprocess
+import sys
+from importlib.metadata import version as installed_version
+from typing import Any
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+
+import ailsrs_jax
+from ailsrs_jax.cli import app as command_line
+
+project = "ailsrs_jax"
+copyright = "the ailsrs_jax developers"  # noqa: A001
+release = installed_version(project)
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+root_doc = "docs/index"
+include_patterns = [
+    "docs/*.md",
+    "experiments/RESULTS.md",
+    "ailsrs_jax/data/experts/README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+]
+
+html_theme = "furo"
+html_title = project
+html_additional_pages = {"index": "redirect.html"}
+html_show_sphinx = False
+html_copy_source = False
+templates_path = ["templates"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+python_maximum_signature_line_length = 80
+
+# The parts of the Python reference: title, and the rooms of the package whose public names it has.
+PARTS = {
+    "Whole runs": ("runs",),
+    "Demonstrations and policies": ("data",),
+    "Environments": ("envs",),
+    "Trainers and their settings": ("trainers",),
+    "Mistakes": ("errors",),
+}
+# What public functions return, and nobody has to make.
+RETURNED = ("runs.run.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
+
+
+def setup(app: Sphinx) -> None:
+    """Let Sphinx know of what is generated here."""
+    app.add_html_math_renderer("mathml", (_visit_math, None), (_visit_math, None))
+    app.config.html_math_renderer = "mathml"
+    app.connect("source-read", _add_generated)
+    app.connect("autodoc-process-signature", _without_fields)
+
+
+def _visit_math(translator: Any, node: nodes.math | nodes.math_block) -> None:
+    display = "block" if isinstance(node, nodes.math_block) else "inline"
+    translator.body.append(convert(node.astext(), display=display))
+    raise nodes.SkipNode
+
+
+def _add_generated(_: Sphinx, page: str, source: list[str]) -> None:
+    if page == "docs/command_line":
+        source[0] += "".join(_help(command) for command in command_line._subcommands)
+    if page == "docs/reference":
+        source[0] += _reference()
+
+
+def _without_fields(*event: Any) -> tuple[str, None] | None:
+    """No signature of what is made of its fields: each of them is documented below."""
+    _, what, _, found, *_ = event
+    return ("", None) if what == "class" and dataclasses.is_dataclass(found) else None
+
+
+def _help(command: str) -> str:
+    """The help of a command as one reads it, 88 columns wide."""
+    done = subprocess.run(
+        [sys.executable, "-m", "ailsrs_jax", command, "--help"],
+        env={**os.environ, "COLUMNS": "88", "NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return f"\n## {command}\n\n```text\n{done.stdout.rstrip()}\n```\n"
+
+
+def _reference() -> str:
+    """All public names, by where they live in the package, functions first."""
+    names = sorted(ailsrs_jax.__all__, key=lambda name: (name[0].isupper(), name))
+    homes = {name: ailsrs_jax._HOMES[name].split(".")[0] for name in names}
+    unknown = set(homes.values()) - set(itertools.chain(*PARTS.values()))
+    if unknown:
+        raise ExtensionError(f"docs/conf.py: PARTS lacks {', '.join(sorted(unknown))}")
+    parts = {
+        title: [_entry(f"ailsrs_jax.{name}") for name in names if homes[name] in rooms]
+        for title, rooms in PARTS.items()
+    }
+    parts["What they return"] = [_entry(f"ailsrs_jax.{name}") for name in RETURNED]
+    return "".join(
+        f"\n## {title}\n\n```{{eval-rst}}\n{''.join(entries)}```\n"
+        for title, entries in parts.items()
+    )
+
+
+def _entry(name: str) -> str:
+    """The directive that documents a name; of classes, all that is ours."""
+    module, _, attribute = name.rpartition(".")
+    found = getattr(importlib.import_module(module), attribute)
+    if not isinstance(found, type):
+        return f".. autofunction:: {name}\n"
+    theirs = [base.__name__ for base in found.__mro__ if not base.__module__.startswith(project)]
+    options = {"members": "", "undoc-members": "", "inherited-members": ", ".join(theirs)}
+    lines = "".join(f"   :{option}: {value}\n" for option, value in options.items())
+    return f".. autoclass:: {name}\n{lines}\n"

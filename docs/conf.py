@@ -10,6 +10,7 @@ import dataclasses
 import importlib
 import itertools
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version as installed_version
@@ -32,6 +33,7 @@ root_doc = "docs/index"
 include_patterns = [
     "docs/*.md",
     "experiments/RESULTS.md",
+    "experiments/results/*/*.md",
     "ailsrs_jax/data/experts/README.md",
     "CHANGELOG.md",
     "CONTRIBUTING.md",
@@ -84,6 +86,11 @@ def _add_generated(_: Sphinx, page: str, source: list[str]) -> None:
         source[0] += "".join(_help(command) for command in command_line._subcommands)
     if page == "docs/reference":
         source[0] += _reference()
+    if page == "experiments/RESULTS":  # a folder is a page on a code host only
+        source[0] = re.sub(r", \[[^]]*\]\(results/\w+/figures\)", "", source[0])
+    if page.startswith("experiments/results/"):  # reached from there; it has no title
+        *_, sweep, table = page.split("/")
+        source[0] = f"---\norphan: true\n---\n\n# {sweep}: {table}\n\n{source[0]}"
 
 
 def _without_fields(*event: Any) -> tuple[str, None] | None:

@@ -42,7 +42,7 @@ def test_quickstart_in_an_empty_environment(wheel: Path, tmp_path: Path) -> None
     clean |= {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-m", "venv", venv], check=True)
     subprocess.run([venv / "bin" / "pip", "install", "--quiet", wheel], check=True)
-    (quickstart,) = blocks(ROOT / "README.md", "python")
+    quickstart = blocks(ROOT / "README.md", "python")[0]
     done = subprocess.run(
         [venv / "bin" / "python", "-c", quickstart],
         cwd=work,

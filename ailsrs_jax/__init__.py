@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.envs.mujoco_task import MujocoTask as MujocoTask
     from ailsrs_jax.envs.registry import make_env as make_env
     from ailsrs_jax.errors import UserError as UserError
+    from ailsrs_jax.html_report import report as report
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.demonstrate import record as record
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
@@ -81,6 +82,7 @@ _HOMES = {
     "preset_settings": "runs.presets",
     "record": "runs.demonstrate",
     "render": "video",
+    "report": "html_report",
     "save_demonstrations": "data.demonstrations",
     "save_minari": "data.minari_datasets",
     "sweep": "runs.sweep",

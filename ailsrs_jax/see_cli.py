@@ -8,6 +8,7 @@ from rich.markup import escape
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import PhysicsName
+from ailsrs_jax.errors import UserError
 
 console = Console()
 
@@ -54,3 +55,31 @@ def render(
         for label, episode in zip(animation.labels, animation.replays, strict=True)
     )
     console.print(f"{shown}: {escape(str(output))}", highlight=False, soft_wrap=True)
+
+
+def report(
+    directory: Positional[Annotated[Path, arg(metavar="DIR")]],
+    output: Annotated[Path | None, arg(metavar="FILE.html")] = None,
+    episodes: int = 100,
+    video: bool = True,
+) -> None:
+    """Write one self-contained HTML page on a run or a sweep.
+
+    Settings, curves, tables, a video, the command that made it, versions.
+
+    Example: ailsrs report runs/hopper
+
+    Args:
+        directory: A run directory or a sweep's, finished or not.
+        output: The page; by default report.html in the directory.
+        episodes: Of each policy of a run, to measure its return.
+        video: Show the policies, which takes the most time.
+    """
+    try:
+        from ailsrs_jax import html_report
+    except ImportError:
+        raise UserError("a report needs pip install 'ailsrs_jax[plot]'") from None
+
+    with console.status("writing the report"):
+        path = html_report.report(directory, output, episodes=episodes, video=video)
+    console.print(f"{escape(str(path))}", highlight=False, soft_wrap=True)

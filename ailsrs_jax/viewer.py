@@ -20,8 +20,10 @@ SHAPES = {
     mujoco.mjtGeom.mjGEOM_BOX: "Box",
     mujoco.mjtGeom.mjGEOM_MESH: "Mesh",
 }
+UNSAID = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of geoms without one
 SHOWN_GROUPS = 3  # of geoms: 0, 1 and 2, as in MuJoCo's own viewer
-BESIDE = (0.55, 0.57, 0.60)  # colour of all that is not the last: the expert is grey
+BESIDE = [0.32, 0.34, 0.38]  # colour of all that is not the last: the expert is grey
+PLAIN = [0.4, 0.33, 0.26]  # Brax's, where the model gives no colour, or a texture
 
 
 def viewer_html(replays: Sequence[Replay], labels: Sequence[str]) -> str:
@@ -77,21 +79,22 @@ def _bodies(replay: Replay, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(positions + positions[-1:] * rest), np.stack(rotations + rotations[-1:] * rest)
 
 
-def _shape(
-    model: mujoco.MjModel, geom: int, color: tuple[float, float, float] | None
-) -> dict[str, Any] | None:
+def _shape(model: mujoco.MjModel, geom: int, color: list[float] | None) -> dict[str, Any] | None:
     """One geom as the viewer takes it; None if it is not shown."""
     kind = SHAPES.get(mujoco.mjtGeom(model.geom_type[geom]))
-    material = model.geom_matid[geom]
-    rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
+    rgba = model.geom_rgba[geom]
     if kind is None or rgba[3] == 0 or model.geom_group[geom] >= SHOWN_GROUPS:
         return None
+    material = model.geom_matid[geom]
+    if material >= 0 and (model.mat_texid[material] < 0).all():
+        rgba = model.mat_rgba[material]
+    own = PLAIN if np.all(rgba == UNSAID) else rgba[:3].tolist()
     size = model.geom_size[geom].tolist()
     shape = {
         "name": kind,
         "pos": model.geom_pos[geom].tolist(),
         "rot": model.geom_quat[geom].tolist(),
-        "rgba": [*(rgba[:3].tolist() if color is None or kind == "Plane" else color), 1.0],
+        "rgba": [*(color or own), 1.0],
         # A plane without limits is a checker board; the others' halves are lengths to the viewer.
         "size": [0.0, 0.0, 0.0] if kind == "Plane" else size,
     }

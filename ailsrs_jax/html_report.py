@@ -52,19 +52,27 @@ def report(
     output = directory / "report.html" if output is None else Path(output)
     if episodes < 1:
         raise UserError(f"episodes is {episodes}: it must be at least 1")
-    if (directory / "results.csv").is_file():
-        page = sweep_page(directory, video=video)
-    elif (directory / "config.json").is_file():
-        page = run_page(read_run(directory), episodes=episodes, video=video)
-    elif (directory / "sweep.json").is_file():
-        raise UserError(f"{directory}: no cell of this sweep is finished yet")
-    else:
+    is_run, is_sweep = (_holds(directory, name) for name in ("config.json", "results.csv"))
+    if not (is_run or is_sweep):
+        if _holds(directory, "sweep.json"):
+            raise UserError(f"{directory}: no run of this sweep is finished yet")
         raise UserError(f"{directory} is neither a run nor a sweep: no config.json, no results.csv")
     require_writable(output)
+    if is_sweep:
+        page = sweep_page(directory, video=video)
+    else:
+        page = run_page(read_run(directory), episodes=episodes, video=video)
     # A lone surrogate, which JSON can hold and UTF-8 cannot, is written as its number.
     content = page.html().encode(errors="backslashreplace")
     write_atomically(output, lambda file: file.write(content))
     return output
+
+
+def _holds(directory: Path, name: str) -> bool:
+    try:
+        return (directory / name).is_file()
+    except OSError as error:
+        raise UserError(f"cannot read {directory}: {error.strerror}") from error
 
 
 def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> Page:
@@ -86,7 +94,6 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
         run.kept_iterations,
         expert_return,
         imitates=run.algorithm.imitates,
-        num_columns=2,
     )
     changed = run.changed_settings()
     versions = dict(config["versions"])
@@ -174,7 +181,7 @@ def _seed_table(run: SavedRun, evaluations: dict[int, Evaluation]) -> Table:
 
 def _run_video(run: SavedRun, policies: dict[int, SavedPolicy]) -> Media:
     if not policies:
-        return Media("Policy", None, "No policy is saved yet.")
+        return Media("What it does", None, "No policy is saved yet.")
     seed, policy = next(iter(policies.items()))
     caption = f"The policy of seed {seed}, the first, in real time"
-    return play(run.config["env_id"], {"policy": policy}, expert_of([run]), caption)
+    return play("What it does", {"policy": policy}, expert_of([run]), caption)

@@ -48,7 +48,6 @@ def draw_curves(
     expert_return: float | None,
     *,
     imitates: bool,
-    num_columns: int | None = None,
 ) -> Figure:
     """A panel for each of :data:`PANELS` that is in ``columns``, of all seeds.
 
@@ -57,14 +56,10 @@ def draw_curves(
     1, and has nothing to teach any more.
     """
     panels = {name: panel for name, panel in PANELS.items() if name in columns}
-    num_columns = num_columns or len(panels)
-    num_rows = -(-len(panels) // num_columns)
     style: dict[Any, Any] = STYLE | {"font.size": 9, "legend.fontsize": 8, "text.parse_math": False}
     with matplotlib.rc_context(style):
-        figure = Figure((4 * num_columns, 3.2 * num_rows), layout="constrained")
-        all_axes = figure.subplots(num_rows, num_columns, squeeze=False).flat
-        for unused in all_axes[len(panels) :]:
-            unused.remove()
+        figure = Figure((4 * len(panels), 3.4), layout="constrained")
+        all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for axes, (name, (label, limits)) in zip(all_axes, panels.items()):
             for index, seed in enumerate(dict.fromkeys(columns["seed"].astype(int).tolist())):
                 color = COLORS[index % len(COLORS)]
@@ -81,7 +76,8 @@ def draw_curves(
                     axes.fill_between(steps, values, expert, color=color, alpha=0.08, linewidth=0)
             unused_note = " (not used)" if imitates and name == "evaluation_return" else ""
             axes.set(xlabel="live environment steps [M]", ylabel=label + unused_note)
-            axes.set_ylim(limits)
+            if limits is not None:
+                axes.set_ylim(limits)
             if name == "policy_score":
                 _explain_scores(axes)
             elif name == "evaluation_return":

@@ -148,9 +148,6 @@ def render(
         output = Path(output)
         require_suffix(output)
         require_writable(output)
-    if output is None or output.suffix == ".mp4":
-        require_encoder()
-        require_renderer()
     shown = {"policy": _load(policy, env)}
     if not alone and (beside := _find_expert(policy, shown["policy"], expert)) is not None:
         shown = {"expert": _load(beside, env)} | shown
@@ -160,6 +157,9 @@ def render(
                 f"the expert is of {shown['expert'].env_id}, the policy of "
                 f"{shown['policy'].env_id}: give one of the same task, or show the policy alone"
             )
+    if output is None or output.suffix == ".mp4":
+        require_encoder()
+        require_renderer()
     replays = [
         replay(each, env=env, physics=physics, seed=seed, seconds=seconds)
         for each in shown.values()
@@ -244,7 +244,7 @@ def side_by_side(panels: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _panels(replay: Replay, label: str, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
-    """The pictures at ``steps`` above a caption: label, return so far, time.
+    """The pictures at ``steps`` below a caption: label, return so far, time.
 
     Where the episode is over, its last picture stays, darker if it ended in a terminal state.
     """
@@ -268,13 +268,13 @@ def _panels(replay: Replay, label: str, steps: Sequence[int], size: int) -> Iter
 def _captioned(
     picture: np.ndarray, label: str, text: str, color: tuple[int, int, int]
 ) -> np.ndarray:
-    """The picture with a line below it, of even height."""
+    """The picture with a line above it, of even height: a player's controls hide what is below."""
     height, width = picture.shape[:2]
     bar = 2 * max(height // 22, 8)
     image = Image.new("RGB", (width, height + bar), DARK)
-    image.paste(Image.fromarray(picture))
+    image.paste(Image.fromarray(picture), (0, bar))
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=bar * 0.42)
-    middle, margin = height + bar / 2, bar * 0.4
+    middle, margin = bar / 2, bar * 0.4
     draw.text((margin, middle), label, INK, font, anchor="lm")
     draw.text((width - margin, middle), text, color, font, anchor="rm")
     return np.asarray(image)

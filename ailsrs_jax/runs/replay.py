@@ -1,6 +1,7 @@
 """One episode of a policy with the poses that it goes through, for looking at."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.interface import env_name, env_sizes
@@ -62,26 +64,14 @@ def replay(
         raise UserError(f"seconds is {seconds}: it must be positive")
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
-    model, positions_of = mujoco_view(task.env)
+    model, _ = mujoco_view(task.env)
     n, p = env_sizes(task.env)
     policy.require_shape(p, n)
     dt = float(task.env.dt)
     num_steps = int(np.clip(np.ceil(seconds / dt - 1e-6), 1, EPISODE_LENGTH))
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
-    act = jax_policy(policy)
-
-    def step(state: State, _: None) -> tuple[State, Any]:
-        # What comes after the end of an episode is meaningless, and cut off below.
-        after = task.env.step(state, act(state.obs))
-        return after, (positions_of(after), after.reward, after.done)
-
-    @jax.jit
-    def episode(key: jax.Array) -> Any:
-        start = task.env.reset(key)
-        return positions_of(start), jax.lax.scan(step, start, length=num_steps)[1]
-
-    first, steps = jax.tree.map(np.asarray, episode(jax.random.fold_in(key, 0)))
-    positions, env_rewards, done = steps
+    episode = _compiled_episode(task.env, num_steps)(jax_policy(policy), jax.random.fold_in(key, 0))
+    first, (positions, env_rewards, done) = jax.tree.map(np.asarray, episode)
     ends = np.flatnonzero(done)
     length = int(ends[0]) + 1 if len(ends) else num_steps
     if not (np.isfinite(positions[:length]).all() and np.isfinite(env_rewards[:length]).all()):
@@ -93,6 +83,25 @@ def replay(
         dt=dt,
         ended=bool(len(ends)),
     )
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled_episode(env: Env, num_steps: int) -> Callable[[Policy, jax.Array], Any]:
+    """Initial positions; then positions, rewards and ends of ``num_steps`` steps.
+
+    What comes after the end of an episode is meaningless.
+    """
+    _, positions_of = mujoco_view(env)
+
+    def episode(policy: Policy, key: jax.Array) -> Any:
+        def step(state: State, _: None) -> tuple[State, Any]:
+            after = env.step(state, policy(state.obs))
+            return after, (positions_of(after), after.reward, after.done)
+
+        start = env.reset(key)
+        return positions_of(start), jax.lax.scan(step, start, length=num_steps)[1]
+
+    return jax.jit(episode)
 
 
 def mujoco_view(env: Env) -> tuple[mujoco.MjModel, Callable[[State], jax.Array]]:

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from ailsrs_jax.data.files import require_name
 from ailsrs_jax.data.sources import MINARI
-from ailsrs_jax.envs.registry import require_harmless, resolve_env_id, short_name
+from ailsrs_jax.envs.registry import TASKS, require_harmless, resolve_env_id, short_name
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm
-from ailsrs_jax.runs.config import read_config
+from ailsrs_jax.runs.config import read_config, require_seed
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.run import HANDED_IN, NUM_TRAJECTORIES, SHIPPED_EXPERT, make_plan
 from ailsrs_jax.runs.tracking import read_metrics
@@ -81,11 +82,12 @@ class SavedRun:
         """The ``ailsrs train`` that makes it again, where one does: Python can hand in objects."""
         config, source = self.config, self._source
         try:
-            words = ["ailsrs", "train", short_name(resolve_env_id(config["env_id"]))]
+            env_id = resolve_env_id(config["env_id"])
         except UserError:
             return None
         if source == HANDED_IN:
             return None
+        words = ["ailsrs", "train", short_name(env_id) if env_id in TASKS else env_id]
         if config["algorithm"] != "ailsrs":
             words += ["--algorithm", config["algorithm"]]
         number = config["num_trajectories"]
@@ -152,9 +154,15 @@ def read_run(directory: Path) -> SavedRun:
         if type(config.get(name)) not in kinds:
             value = reprlib.repr(config[name]) if name in config else "missing"
             raise UserError(f"{path} is not the configuration of a run: {name} is {value}")
+    require_name(config["env_id"], str(path))
     seeds = config["seeds"]
     if not seeds or not all(type(seed) is int for seed in seeds):
         raise UserError(f"{path}: seeds are {reprlib.repr(seeds)}, not whole numbers")
+    for seed in seeds:
+        require_seed(seed)
+    for name, value in (config["settings"] | config["versions"]).items():
+        if not isinstance(value, bool | int | float | str):
+            raise UserError(f"{path}: {reprlib.repr(name)} is {reprlib.repr(value)}, not a value")
     algorithm = find_algorithm(config["algorithm"])
     path = directory / "metrics.csv"
     metrics = read_metrics(path)

@@ -8,19 +8,16 @@ from ailsrs_jax.data.files import require_writable, write_atomically
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs.registry import TASKS, require_harmless
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.page import Media, Page, Tile, expert_of, millions, play, policies_of, svg
+from ailsrs_jax.page import SCORES, Media, Page, Tile, expert_of, millions, play, policies_of, svg
 from ailsrs_jax.plotting import draw_curves
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
 from ailsrs_jax.runs.saved_run import SavedRun, read_run
+from ailsrs_jax.runs.sweep import SWEEP_FILE
 from ailsrs_jax.sweep_page import sweep_page
 from ailsrs_jax.sweep_report import Table, plus_minus
 
 EPISODES = 100
-CURVES = (
-    "A dot marks the iteration whose policy is kept. Between the discriminator's scores of expert "
-    "and policy is what it can tell them apart by: near one half the game is even, and where they "
-    "part for 1 and 0 it has won, and has nothing to teach any more."
-)
+CURVES = f"A dot marks the iteration whose policy is kept. {SCORES}"
 
 
 def report(
@@ -54,7 +51,7 @@ def report(
         raise UserError(f"episodes is {episodes}: it must be at least 1")
     is_run, is_sweep = (_holds(directory, name) for name in ("config.json", "results.csv"))
     if not (is_run or is_sweep):
-        if _holds(directory, "sweep.json"):
+        if _holds(directory, SWEEP_FILE):
             raise UserError(f"{directory}: no run of this sweep is finished yet")
         raise UserError(f"{directory} is neither a run nor a sweep: no config.json, no results.csv")
     require_writable(output)

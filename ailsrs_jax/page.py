@@ -20,6 +20,11 @@ from ailsrs_jax.sweep_report import Table
 from ailsrs_jax.video import Animation, require_encoder
 
 SECONDS = 10.0  # of each episode that is shown
+SCORES = (
+    "Between the discriminator's scores of expert and policy is what it can tell them apart by: "
+    "near one half the game is even, and where they part for 1 and 0 it has won, and has nothing "
+    "to teach any more."
+)
 SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by how many there are
 
 

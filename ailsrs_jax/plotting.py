@@ -1,6 +1,7 @@
-"""The training curves of a run."""
+"""The training curves of runs."""
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.figures import COLORS, EXPERT, STYLE
 from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.saved_run import SavedRun
 from ailsrs_jax.runs.tracking import read_metrics
 
 # What is drawn of what a run has measured, and the range of its axis.
@@ -56,7 +59,7 @@ def draw_curves(
     1, and has nothing to teach any more.
     """
     panels = {name: panel for name, panel in PANELS.items() if name in columns}
-    style: dict[Any, Any] = STYLE | {"font.size": 9, "legend.fontsize": 8, "text.parse_math": False}
+    style: dict[Any, Any] = STYLE | {"font.size": 9, "legend.fontsize": 8}
     with matplotlib.rc_context(style):
         figure = Figure((4 * len(panels), 3.4), layout="constrained")
         all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -70,10 +73,8 @@ def draw_curves(
                 named = f"seed {seed}" if index < MOST_NAMED and name == "evaluation_return" else ""
                 axes.plot(steps, values, color=color, label=named)
                 axes.plot(steps[at], values[at], "o", color=color, markersize=6)
-                if name == "policy_score" and "expert_score" in columns:
-                    expert = columns["expert_score"][mine]
-                    axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
-                    axes.fill_between(steps, values, expert, color=color, alpha=0.08, linewidth=0)
+                if name == "policy_score":
+                    _draw_expert_score(axes, columns, mine, color)
             unused_note = " (not used)" if imitates and name == "evaluation_return" else ""
             axes.set(xlabel="live environment steps [M]", ylabel=label + unused_note)
             if limits is not None:
@@ -85,6 +86,47 @@ def draw_curves(
                     axes.axhline(expert_return, label="expert", **EXPERT)
                 axes.legend()
     return figure
+
+
+def draw_discriminators(tasks: Mapping[str, Sequence[tuple[str, SavedRun]]]) -> Figure:
+    """The discriminator's scores in each of the runs, by task, with the name of its series.
+
+    As in :func:`draw_curves`, but that a colour is a series.
+    """
+    series = dict.fromkeys(name for runs in tasks.values() for name, _ in runs)
+    colors = dict(zip(series, itertools.cycle(COLORS)))
+    num_columns = min(len(tasks), 3)
+    num_rows = -(-len(tasks) // num_columns)
+    style: dict[Any, Any] = STYLE | {"font.size": 9}
+    with matplotlib.rc_context(style):
+        figure = Figure((4 * num_columns, 0.4 + 3 * num_rows), layout="constrained")
+        all_axes = figure.subplots(num_rows, num_columns, squeeze=False).flat
+        for unused in all_axes[len(tasks) :]:
+            unused.remove()
+        for axes, (task, runs) in zip(all_axes, tasks.items()):
+            for name, run in runs:
+                columns, everything = run.metrics, np.ones(len(run.metrics["seed"]), bool)
+                steps = columns["env_steps"] / 1e6
+                axes.plot(steps, columns["policy_score"], color=colors[name])
+                _draw_expert_score(axes, columns, everything, colors[name])
+            axes.set(title=task, xlabel="live environment steps [M]", ylim=(0, 1))
+            _explain_scores(axes)
+        if len(series) > 1:
+            lines = [Line2D([], [], color=color) for color in colors.values()]
+            figure.legend(lines, list(series), loc="outside upper center", ncols=4)
+    return figure
+
+
+def _draw_expert_score(
+    axes: Axes, columns: Mapping[str, np.ndarray], rows: np.ndarray, color: str
+) -> None:
+    """The expert's score, dashed, and how far the policy's is away."""
+    if "expert_score" not in columns:
+        return
+    steps = columns["env_steps"][rows] / 1e6
+    expert, policy = (columns[name][rows] for name in ("expert_score", "policy_score"))
+    axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
+    axes.fill_between(steps, policy, expert, color=color, alpha=0.08, linewidth=0)
 
 
 def _explain_scores(axes: Axes) -> None:

@@ -5,9 +5,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ailsrs_jax.figures import draw_figures
-from ailsrs_jax.page import Media, Page, Tile, expert_of, millions, play, policies_of, uri
+from ailsrs_jax.page import (
+    SCORES,
+    Media,
+    Page,
+    Tile,
+    expert_of,
+    millions,
+    play,
+    policies_of,
+    svg,
+    uri,
+)
+from ailsrs_jax.plotting import draw_discriminators
 from ailsrs_jax.runs.saved_run import SavedRun, read_run
 from ailsrs_jax.runs.statistics import Group, group_cells
+from ailsrs_jax.runs.sweep import SWEEP_FILE
+from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_results import SweepResults, read_results
 from ailsrs_jax.sweep_report import EXPLANATION, result_tables
 
@@ -23,6 +37,8 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
     results = read_results(directory)
     groups = group_cells(results.cells)
     runs = _runs(directory, results) if results.done else {}
+    path = directory / SWEEP_FILE  # committed results have none
+    planned = len(load_sweep(path).cells if path.is_file() else results.cells)
     steps = sum(cell.env_steps for cell in results.done)
     counts = {
         "tasks": len({cell.env_id for cell in results.cells}),
@@ -35,12 +51,12 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
         title=directory.resolve().name,
         subtitle=" · ".join(dict.fromkeys(group.series for group in groups)),
         tiles=[
-            Tile("runs finished", str(len(results.done)), f"of {len(results.cells)} begun"),
+            Tile("runs finished", str(len(results.done)), f"of {planned}"),
             *(Tile(label, str(count)) for label, count in counts.items()),
             Tile("environment steps", millions(steps), "live ones, of all runs"),
         ],
         videos=_sweep_videos(groups, runs) if video else [],
-        figures=_figures(results),
+        figures=[*_figures(results), *_discriminators(groups, runs)],
         tables=result_tables(results),
         note=EXPLANATION.replace("*", ""),
         commands=[command for run in runs.values() if (command := run.command())],
@@ -78,6 +94,18 @@ def _sweep_videos(groups: Sequence[Group], runs: dict[str, SavedRun]) -> list[Me
         if policies:
             videos.append(play(task, policies, expert_of(list(shown.values())), caption))
     return videos
+
+
+def _discriminators(groups: Sequence[Group], runs: dict[str, SavedRun]) -> list[Media]:
+    """The scores in all runs that have one, if any has."""
+    tasks: dict[str, list[tuple[str, SavedRun]]] = {}
+    for group in groups:
+        for cell in group.cells:
+            if cell.cell in runs and "policy_score" in runs[cell.cell].metrics:
+                tasks.setdefault(group.env_id, []).append((group.series, runs[cell.cell]))
+    if not tasks:
+        return []
+    return [Media("Discriminator's scores", svg(draw_discriminators(tasks)), SCORES)]
 
 
 def _figures(results: SweepResults) -> list[Media]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.envs.mujoco_task import MujocoTask as MujocoTask
     from ailsrs_jax.envs.registry import make_env as make_env
     from ailsrs_jax.errors import UserError as UserError
+    from ailsrs_jax.html_report import report as report
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.demonstrate import record as record
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
@@ -42,12 +43,15 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.trpo import Trpo as Trpo
     from ailsrs_jax.trainers.trpo import TrpoSettings as TrpoSettings
     from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
+    from ailsrs_jax.video import Animation as Animation
+    from ailsrs_jax.video import render as render
 
 # Where each public name lives. They are imported when first used: JAX takes seconds to import, and
 # the command line should answer before that.
 _HOMES = {
     "Ailsrs": "trainers.ailsrs",
     "AilsrsSettings": "trainers.ailsrs",
+    "Animation": "video",
     "Ars": "trainers.ars",
     "ArsSettings": "trainers.ars",
     "BehaviorCloning": "trainers.behavior_cloning",
@@ -77,6 +81,8 @@ _HOMES = {
     "make_trpo": "trainers.trpo",
     "preset_settings": "runs.presets",
     "record": "runs.demonstrate",
+    "render": "video",
+    "report": "html_report",
     "save_demonstrations": "data.demonstrations",
     "save_minari": "data.minari_datasets",
     "sweep": "runs.sweep",

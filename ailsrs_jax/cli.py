@@ -20,6 +20,7 @@ from tyro.conf import Positional, arg
 from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.measure_cli import benchmark, evaluate
+from ailsrs_jax.see_cli import render, report
 from ailsrs_jax.sweep_cli import merge, sweep
 from ailsrs_jax.versions import VersionError
 
@@ -216,7 +217,7 @@ def expert(
     )
 
 
-for command in (evaluate, sweep, merge, benchmark):
+for command in (evaluate, render, report, sweep, merge, benchmark):
     app.command(command)
 
 

@@ -41,6 +41,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.3,
     "lines.markersize": 4.5,
     "errorbar.capsize": 2,
+    "text.parse_math": False,  # a dollar in a name is a dollar
     "pdf.fonttype": 42,  # editable, and what publishers ask for
     "savefig.dpi": 160,
 }

@@ -81,8 +81,8 @@ def merge(output: Positional[Path], sources: Positional[tuple[Path, ...]]) -> No
 
 def report(rows: Sequence[Mapping[str, Any]], output: Path) -> None:
     """Write table and figures, and say what has failed: then the exit code is 1."""
-    from ailsrs_jax.report import report_sweep
     from ailsrs_jax.runs.sweep_tables import DONE
+    from ailsrs_jax.sweep_report import report_sweep
 
     report_sweep(output)
     failed = [row for row in rows if row["status"] != DONE]

@@ -17,9 +17,9 @@ from itertools import groupby
 from pathlib import Path
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.report import aggregates, markdown_table, report_sweep, write_text
 from ailsrs_jax.runs.statistics import group_cells
 from ailsrs_jax.runs.sweep_results import SweepResults, read_results
+from ailsrs_jax.sweep_report import aggregates, markdown_table, report_sweep, write_text
 from experiments.claims import CLAIMS, UNTESTED
 from experiments.rules import Evidence, judge
 

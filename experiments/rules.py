@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from ailsrs_jax.report import estimate, plus_minus
 from ailsrs_jax.runs.statistics import (
     Group,
     group_cells,
@@ -21,6 +20,7 @@ from ailsrs_jax.runs.statistics import (
     smoothed,
 )
 from ailsrs_jax.runs.sweep_results import SweepResults
+from ailsrs_jax.sweep_report import estimate, plus_minus
 
 # The sweeps, experiments/NAME.toml.
 FIGURE_2, FIGURE_3, ABLATIONS, HARD = "paper", "curves", "ablations", "ant_humanoid"

@@ -348,6 +348,24 @@ def make_metrics(path: Path, rng: Rng) -> None:
     make_csv(rows, path, rng)
 
 
+def make_run(path: Path, rng: Rng) -> None:
+    """What ``ailsrs report`` reads of a run, its configuration or its metrics damaged."""
+    path.mkdir()
+    columns = ["iteration", "seed", "env_steps", "evaluation_return", "expert_distance"]
+    rows = [columns, *([i, seed, 80 * i, 1.5, rng.random()] for i in range(4) for seed in (0, 5))]
+    whole = json.dumps(config().as_json()).encode()
+    damaged = mutated_json(config().as_json(), rng) if rng.random() < 0.6 else whole
+    (path / "config.json").write_bytes(damaged)
+    make_csv(rows, path / "metrics.csv", rng)
+
+
+def read_saved_run(path: Path) -> object:
+    from ailsrs_jax.runs.saved_run import read_run
+
+    run = read_run(path)
+    return run.kept_iterations, run.command(), run.changed_settings()
+
+
 def make_results(path: Path, rng: Rng) -> None:
     """What a sweep has measured, one of its three tables damaged."""
     from ailsrs_jax.runs.sweep_results import Cell
@@ -631,6 +649,7 @@ READERS = {
     "policy": Reader(30, lambda path, rng: make_npz(policy_arrays(rng), path, rng), read_policy),
     "config": Reader(15, copied(lambda _: config().as_json()), read_config),
     "metrics": Reader(10, make_metrics, read_metrics),
+    "run": Reader(5, make_run, read_saved_run),
     "results": Reader(5, make_results, read_sweep_results),
     "sweep spec": Reader(4, make_spec, read_sweep_spec),
     "sweep": Reader(5, make_sweep, read_sweep),

@@ -14,6 +14,7 @@ EXAMPLES = {
     "policy": 150,
     "config": 80,
     "metrics": 60,
+    "run": 60,
     "results": 60,
     "sweep spec": 30,
     "sweep": 60,

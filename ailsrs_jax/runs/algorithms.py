@@ -23,16 +23,29 @@ class Algorithm:
     title: str
     imitates: bool  # learns from demonstrations, not from the environment's reward
     searches: bool  # by directions, which devices can share
+    kept_by: str  # column of metrics.csv: the smallest, but for a return, decides what is kept
     make: Callable[..., Trainer]  # env, demonstrations if it imitates, settings, devices if …
 
 
 ALGORITHMS = {
-    "ailsrs": Algorithm("AILSRS", imitates=True, searches=True, make=make_ailsrs),
-    "bc": Algorithm("BC", imitates=True, searches=False, make=make_behavior_cloning),
-    "gail": Algorithm("GAIL", imitates=True, searches=False, make=make_gail),
-    "ars": Algorithm("ARS", imitates=False, searches=True, make=make_ars),
-    "brs": Algorithm("BRS", imitates=False, searches=True, make=make_ars),
-    "trpo": Algorithm("TRPO", imitates=False, searches=False, make=make_trpo),
+    "ailsrs": Algorithm(
+        "AILSRS", imitates=True, searches=True, kept_by="expert_distance", make=make_ailsrs
+    ),
+    "bc": Algorithm(
+        "BC", imitates=True, searches=False, kept_by="validation_loss", make=make_behavior_cloning
+    ),
+    "gail": Algorithm(
+        "GAIL", imitates=True, searches=False, kept_by="expert_distance", make=make_gail
+    ),
+    "ars": Algorithm(
+        "ARS", imitates=False, searches=True, kept_by="evaluation_return", make=make_ars
+    ),
+    "brs": Algorithm(
+        "BRS", imitates=False, searches=True, kept_by="evaluation_return", make=make_ars
+    ),
+    "trpo": Algorithm(
+        "TRPO", imitates=False, searches=False, kept_by="evaluation_return", make=make_trpo
+    ),
 }
 
 

@@ -39,6 +39,8 @@ from ailsrs_jax.trainers.trainer import Trainer
 CHECKPOINT_EVERY = 10  # iterations
 NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
 PAPER_EXPERT = "expert:paper"
+# What config.json calls demonstrations without a name.
+SHIPPED_EXPERT, HANDED_IN = "of the expert that ships with the package", "handed in"
 
 Watch = Callable[[IterationReport], None]
 
@@ -214,12 +216,12 @@ def _find_demonstrations(
 ) -> tuple[Demonstrations, str]:
     """The first ``num_trajectories`` of what is asked for, and what to call it."""
     if demonstrations is None or demonstrations == PAPER_EXPERT:
-        source = demonstrations or "of the expert that ships with the package"
+        source = demonstrations or SHIPPED_EXPERT
         of_paper = demonstrations == PAPER_EXPERT
         num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
         demonstrations = expert_demonstrations(env_id, num_trajectories, engine, of_paper=of_paper)
     elif isinstance(demonstrations, Demonstrations):
-        source = "handed in"
+        source = HANDED_IN
         demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
     else:
         demonstrations, source = open_source(demonstrations, env_id, num_trajectories)

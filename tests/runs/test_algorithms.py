@@ -12,6 +12,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.runs.algorithms import ALGORITHMS
+from ailsrs_jax.runs.saved_run import read_run
 from tests.point_mass import PointMass
 
 COMMON = {"num_iterations": 3, "episode_length": 20}
@@ -52,6 +53,7 @@ def test_all_leave_the_same_behind(
     shared = {"evaluation_return", "evaluation_length", "env_steps"}
     assert shared | ({"expert_distance"} if imitates else set()) <= rows[0].keys()
     assert np.isfinite([[float(value) for value in row.values()] for row in rows]).all()
+    assert read_run(tmp_path / "run").kept_iterations == result.kept_iterations
     for seed, policy in result.policies.items():
         saved = ail.load_policy(tmp_path / "run" / f"seed_{seed}" / "policy.npz")
         observation = np.array([0.3, -0.2])

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 
-from ailsrs_jax.report import report_sweep
+from ailsrs_jax.sweep_report import report_sweep
 from tests.synthetic_sweep import row, write_sweep
 
 

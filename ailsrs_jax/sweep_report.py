@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -53,10 +54,29 @@ def write_text(path: Path, text: str) -> None:
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
+class Table(NamedTuple):
+    """A table for people to read."""
+
+    title: str
+    header: list[str]
+    rows: list[list[str]]
+    note: str = ""
+
+
 def results_table(results: SweepResults) -> str:
     """Markdown: the interquartile means over all tasks, a table per task, what failed."""
+    parts = [EXPLANATION]
+    for table in result_tables(results):
+        parts += markdown_section(table)
+    return "\n\n".join(parts) + "\n"
+
+
+def result_tables(results: SweepResults) -> list[Table]:
+    """The interquartile means over all tasks, a table per task, what failed."""
     groups = group_cells(results.cells)
-    parts = [EXPLANATION, *aggregates(groups)]
+    tables = [*_aggregate_tables(groups)]
+    header = ["", "demonstrations", "seeds", "return", "expert", "normalised", "last"]
+    header += ["over training, normalised", "steps to 90 %"]
     for task in dict.fromkeys(group.env_id for group in groups):
         rows = [
             [
@@ -73,16 +93,19 @@ def results_table(results: SweepResults) -> str:
             for group in groups
             if group.env_id == task
         ]
-        header = ["", "demonstrations", "seeds", "return", "expert", "normalised", "last"]
-        header += ["over training, normalised", "steps to 90 %"]
-        parts += [f"## {task}", markdown_table(header, rows)]
+        tables.append(Table(task, header, rows))
     if failed := [[cell.cell, cell.status] for cell in results.cells if not cell.done]:
-        parts += ["## Not done", markdown_table(["cell", "status"], failed)]
-    return "\n\n".join(parts) + "\n"
+        tables.append(Table("Not done", ["cell", "status"], failed))
+    return tables
 
 
 def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
     """Markdown: the interquartile means over all tasks, below a heading of that level."""
+    return [part for table in _aggregate_tables(groups) for part in markdown_section(table, level)]
+
+
+def _aggregate_tables(groups: Sequence[Group]) -> list[Table]:
+    """The interquartile means over all tasks, where they can be compared."""
     common = comparable(groups)
     if not groups or not all(common.values()):
         return []
@@ -100,14 +123,13 @@ def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
     ]
     conditions = {group.condition for mine in common.values() for group in mine}
     plural = "s" * (len(conditions) > 1)
-    title = f"{'#' * level} Interquartile means over {len(conditions)} condition{plural}"
+    title = f"Interquartile means over {len(conditions)} condition{plural}"
     note = (
         "Normalised returns, with the 95 % interval of a stratified bootstrap over seeds. A "
         "condition is a\ntask and a number of demonstrations; these are the ones that all have "
         "been measured under."
     )
-    header = ["", "runs", "kept policy", "over training"]
-    return [title, note, markdown_table(header, rows)]
+    return [Table(title, ["", "runs", "kept policy", "over training"], rows, note)]
 
 
 def timings_table(results: SweepResults) -> str:
@@ -136,6 +158,12 @@ def timings_table(results: SweepResults) -> str:
     header = ["", "task", "demonstrations", "to 90 % of the expert", "training", "compilation"]
     note = "Wall-clock time of a seed, the median over seeds; in brackets how many reached it."
     return f"{note}\n\n{markdown_table([*header, 'hardware'], rows)}\n"
+
+
+def markdown_section(table: Table, level: int = 2) -> list[str]:
+    """Heading, note and table."""
+    parts = [f"{'#' * level} {table.title}", table.note, markdown_table(table.header, table.rows)]
+    return [part for part in parts if part]
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

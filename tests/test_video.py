@@ -1,6 +1,7 @@
 """What ``ailsrs render`` shows: episodes, pictures, files."""
 
 import base64
+import dataclasses
 import io
 import json
 import re
@@ -236,3 +237,30 @@ def test_expert_and_policy_are_drawn(slider: Slider, tmp_path: Path) -> None:
     assert base64.b64decode(source[1]) == (tmp_path / "slider.mp4").read_bytes()
     with av.open(tmp_path / "slider.mp4") as container:
         assert sum(1 for _ in container.decode(video=0)) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Brax System", "ignore:Accessing `")
+def test_brax_environments_can_be_shown() -> None:
+    still = dataclasses.replace(
+        push(0.0), weights=np.zeros((1, 4)), mean=np.zeros(4), std=np.ones(4)
+    )
+    shown = [
+        replay(still, env=envs.get_environment("inverted_pendulum", backend=name), seconds=0.2)
+        for name in ("generalized", "mjx")
+    ]
+    for each in shown:
+        assert each.positions.shape == (6, each.model.nq)
+        assert each.dt == pytest.approx(0.04)
+    np.testing.assert_allclose(shown[0].positions, shown[1].positions, atol=1e-3)
+
+
+def test_playground_environments_can_be_shown() -> None:
+    playground = pytest.importorskip("mujoco_playground")
+    env = playground.registry.load("CartpoleBalance", config_overrides={"impl": "jax"})
+    n, p = env.observation_size, env.action_size
+    still = dataclasses.replace(
+        push(0.0), weights=np.zeros((p, n)), mean=np.zeros(n), std=np.ones(n)
+    )
+    shown = replay(still, env=env, seconds=3 * env.dt)
+    assert shown.positions.shape == (4, env.mj_model.nq)

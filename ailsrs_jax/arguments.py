@@ -1,5 +1,6 @@
 """Arguments that the commands share."""
 
+from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
@@ -14,12 +15,23 @@ EnvName = Annotated[
     ),
 ]
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
+Count = Annotated[int | None, arg(metavar="N")]
+TrackerName = Annotated[str | None, arg(metavar="wandb|trackio")]
+OptionalPath = Annotated[Path | None, arg(metavar="PATH")]
+Quiet = Annotated[bool, arg(help="Print warnings and errors only.")]
+Json = Annotated[
+    bool,
+    arg(
+        name="json",
+        help="Print one JSON object on standard output, and all else on standard error.",
+    ),
+]
 PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
 Settings = Annotated[
     UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="NAME=VALUE")
 ]
-Seeds = UseAppendAction[tuple[tuple[int, ...], ...]]
+Seeds = Annotated[UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED")]
 
 
 def assignments(

@@ -237,10 +237,10 @@ def execute(
     trainer = plan.make_trainer()
     if checkpoint_every < 1:
         raise UserError(f"checkpoint_every is {checkpoint_every}: it must be at least 1")
-    require_tracker(track)
     for name, given in (("resume", resume), ("track", track)):
         if given and output is None:
             raise UserError(f"{name} needs output, the directory of the run")
+    require_tracker(track)
     with ExitStack() as stack:
         if output is not None:
             with together(config.fingerprint()):

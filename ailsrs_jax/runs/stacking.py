@@ -48,6 +48,7 @@ def execute_stack(
     watches: Sequence[Watch],
     watch: Watch | None = None,
     track: str | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[Result | UserError]:
     """Run ``plans`` of one seed each, and the same :func:`stack_key`, together.
 
@@ -65,6 +66,7 @@ def execute_stack(
         watches: told of each run's iterations.
         watch: told of those of all together.
         track: where else the metrics go; see :mod:`~ailsrs_jax.runs.trackers`.
+        stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 
     Returns:
         Of each run its result; or, if most episodes of an iteration diverged, the error that says
@@ -113,7 +115,8 @@ def execute_stack(
             arguments,
         ):
             progress = {"state": state, "steps": report.metrics["env_steps"]}
-            save = report.is_last or checkpoints.is_due(report.iteration + 1)
+            stopping = stop() and not report.is_last
+            save = stopping or report.is_last or checkpoints.is_due(report.iteration + 1)
             for index in np.flatnonzero(~waiting).tolist():
                 mine = _part_of_report(report, index)
                 journals[index].append(mine, to_disk=save)
@@ -128,6 +131,8 @@ def execute_stack(
                 tracker.check()
             if watch is not None:
                 watch(report)
+            if stopping:
+                raise KeyboardInterrupt
             waiting = _finished(state, len(plans))
 
         return [

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -142,12 +142,17 @@ def run_units(
     watch: SweepWatch | None,
     launcher: str,
     track: str | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[TableRow]:
-    """Train ``units``, and return the rows of ``results.csv``."""
+    """Train ``units``, and return the rows of ``results.csv``.
+
+    On this machine ``stop`` is asked after every iteration; if true, what is trained is saved and
+    KeyboardInterrupt raised.
+    """
     rows = write_tables(output, grid.cells)
     if launcher == "local":
         for unit in units:
-            run_unit(unit, output, grid.episodes, track, watch)
+            run_unit(unit, output, grid.episodes, track, watch, stop)
             rows = write_tables(output, grid.cells)
         return rows
     left = {cell.name for unit in units for cell in unit if not is_done(output, cell)}
@@ -199,7 +204,12 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def run_unit(
-    unit: Unit, output: Path, episodes: int, track: str | None, watch: SweepWatch | None = None
+    unit: Unit,
+    output: Path,
+    episodes: int,
+    track: str | None,
+    watch: SweepWatch | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> None:
     """Train cells together, or go on with them, and evaluate what they have kept."""
     cells = [cell for cell in unit if not is_done(output, cell)]
@@ -210,11 +220,13 @@ def run_unit(
     problem: Exception | None = None
     try:
         together = _stacked(unit, cells, stack_directory)
-        trained = _train(together, output, stack_directory, track, watch)
+        trained = _train(together, output, stack_directory, track, watch, stop)
         results = {cell.name: result for cell, result in zip(together, trained, strict=True)}
     except Exception as error:  # of whatever kind: the others can still be trained
         problem = error
     for cell in cells:
+        if stop():  # an evaluation takes its time
+            raise KeyboardInterrupt
         directory, timing = output / "cells" / cell.name, None
         try:
             if problem is not None:
@@ -257,6 +269,7 @@ def _train(
     stack_directory: Path,
     track: str | None,
     watch: SweepWatch | None,
+    stop: Callable[[], bool],
 ) -> list[Result | UserError]:
     plans = [cell.make_plan() for cell in unit]
     directories = [output / "cells" / cell.name for cell in unit]
@@ -266,7 +279,7 @@ def _train(
     stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
     if len(unit) > 1:
         checkpoints = stack_directory / "checkpoints"
-        return execute_stack(plans, directories, checkpoints, stopwatches, watch, track)
+        return execute_stack(plans, directories, checkpoints, stopwatches, watch, track, stop)
 
     def tell(report: IterationReport) -> None:
         stopwatches[0](report)
@@ -275,7 +288,7 @@ def _train(
 
     (plan,), (directory,) = plans, directories
     started = (directory / "config.json").exists()
-    return [execute(plan, directory, resume=started, track=track, watch=tell)]
+    return [execute(plan, directory, resume=started, track=track, watch=tell, stop=stop)]
 
 
 def _hash(text: str) -> str:

@@ -21,12 +21,14 @@ from ailsrs_jax.arguments import (
     AlgorithmName,
     Count,
     EnvName,
+    Flag,
     Json,
     OptionalPath,
     PhysicsName,
     Quiet,
     Seeds,
     Settings,
+    Source,
     TrackerName,
     assignments,
 )
@@ -47,7 +49,7 @@ from ailsrs_jax.versions import VersionError
 def train(
     env: Positional[EnvName],
     algorithm: AlgorithmName = "ailsrs",
-    demonstrations: Annotated[str | None, arg(metavar="SOURCE")] = None,
+    demonstrations: Source = None,
     num_trajectories: Count = None,
     subsample: Annotated[int, arg(metavar="K")] = 1,
     seeds: Seeds = (),
@@ -57,20 +59,18 @@ def train(
     physics: PhysicsName = "auto",
     rollout_batch_size: Count = None,
     output: OptionalPath = None,
-    resume: bool = False,
+    resume: Flag = False,
     checkpoint_every: Annotated[int, arg(metavar="K")] = 10,
     track: TrackerName = None,
-    distributed: bool = False,
+    distributed: Flag = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Train a policy to imitate demonstrations, or on the environment's reward.
 
-    Examples:
+    Example: ailsrs train hopper --num-trajectories 10 --seeds 0 1 2
 
-    ailsrs train hopper --num-trajectories 10 --seeds 0 1 2
-
-    ailsrs train hopper --demonstrations mine.npz --set noise_std=0.02 --output runs/mine
+    Example: ailsrs train hopper --demonstrations mine.npz --set noise_std=0.02 --output runs/mine
 
     Args:
         env: The task.
@@ -159,7 +159,7 @@ def train(
             )
     except KeyboardInterrupt:
         if is_first_process():
-            print(f"saved; this goes on:\n{this_command(*how_to_resume)}", file=sys.stderr)
+            print(f"saved; go on with:\n{this_command(*how_to_resume)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
 
     measured = [] if quiet and not as_json else evaluate_kept(result, physics)
@@ -299,7 +299,7 @@ def main() -> None:
         app.cli(
             prog="ailsrs",
             description=importlib.metadata.metadata("ailsrs_jax")["Summary"],
-            config=(tyro.conf.FlagCreatePairsOff,),
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
         )
     except KeyboardInterrupt:
         print("ailsrs: interrupted", file=sys.stderr)

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.arguments import EnvName, Json, Quiet
+from ailsrs_jax.arguments import EnvName, Flag, Json, Quiet
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.terminal import evaluation_fields, make_console, print_json
 
@@ -19,17 +19,15 @@ def evaluate(
     episodes: int = 100,
     physics: Annotated[str, arg(metavar="gymnasium|auto|mjx|mujoco")] = "gymnasium",
     seed: int = 0,
-    stochastic: bool = False,
+    stochastic: Flag = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Measure the return of a policy, or of every seed of a run.
 
-    Examples:
+    Example: ailsrs evaluate runs/hopper
 
-    ailsrs evaluate runs/hopper
-
-    ailsrs evaluate runs/hopper/seed_0/policy.npz --episodes 20 --physics mujoco --json
+    Example: ailsrs evaluate runs/hopper/seed_0/policy.npz --episodes 20 --physics mujoco --json
 
     Args:
         policy: A policy.npz, or a run directory.
@@ -76,11 +74,9 @@ def benchmark(
 ) -> None:
     """Measure bare physics, rollouts, training steps and the peers that are installed.
 
-    Examples:
+    Example: ailsrs benchmark halfcheetah
 
-    ailsrs benchmark halfcheetah
-
-    ailsrs benchmark hopper walker2d --physics mujoco --num-directions 32 --json
+    Example: ailsrs benchmark hopper walker2d --physics mujoco --num-directions 32 --json
 
     Args:
         envs: The tasks.

@@ -9,7 +9,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     TaskID,
     TextColumn,
@@ -37,9 +36,9 @@ class RunProgress:
         self._console = console
         self._live = console.is_terminal
         self._progress = Progress(
-            MofNCompleteColumn(),
+            # Where a terminal is narrow, the bar and the time give way to the text.
             BarColumn(bar_width=16),
-            TextColumn("{task.description}"),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}  {task.description}"),
             TimeRemainingColumn(),
             console=console,
             disable=not self._live,

@@ -1,5 +1,6 @@
 """The commands for many runs: ``ailsrs sweep`` and ``ailsrs merge``."""
 
+import contextlib
 import dataclasses
 import signal
 import sys
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.arguments import Count, Json, OptionalPath, Quiet, TrackerName
+from ailsrs_jax.arguments import Count, Flag, Json, OptionalPath, Quiet, TrackerName
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.terminal import make_console, print_json, this_command
 
@@ -23,7 +24,7 @@ def sweep(
     max_parallel: Count = None,
     launcher: Annotated[str, arg(metavar="local|ray")] = "local",
     track: TrackerName = None,
-    dry_run: bool = False,
+    dry_run: Flag = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -31,11 +32,9 @@ def sweep(
 
     The same command goes on where it was stopped.
 
-    Examples:
+    Example: ailsrs sweep experiments/smoke.toml --dry-run
 
-    ailsrs sweep experiments/smoke.toml --dry-run
-
-    ailsrs sweep paper.toml --output /shared/paper --shard 0/4
+    Example: ailsrs sweep paper.toml --output /shared/paper --shard 0/4
 
     Args:
         spec: A TOML file; docs/sweeps.md says what it holds.
@@ -74,12 +73,13 @@ def sweep(
         soft_wrap=True,
     )
     stop = StopSignals()
+    listening = stop if launcher == "local" else contextlib.nullcontext()
     try:
-        with stop, SweepProgress(console, units, output) as watch:
+        with listening, SweepProgress(console, units, output) as watch:
             pending = sweeps.pending(units, output)
             rows = sweeps.run_units(grid, pending, output, watch, launcher, track, stop)
     except KeyboardInterrupt:
-        print(f"saved; the same command goes on:\n{this_command()}", file=sys.stderr)
+        print(f"saved; go on with:\n{this_command()}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
     report(console, rows, output, as_json=as_json)
 
@@ -92,9 +92,7 @@ def merge(
 ) -> None:
     """Put the directories of a sweep's shards together.
 
-    Example:
-
-    ailsrs merge runs/paper shards/0 shards/1
+    Example: ailsrs merge runs/paper shards/0 shards/1
 
     Args:
         output: The directory to write, as the whole sweep on one machine would have left it.

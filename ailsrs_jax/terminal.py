@@ -1,4 +1,4 @@
-"""What a command says, and where: results on standard output, with ``--json`` nothing else there."""
+"""What a command says, and where: with ``--json`` only that is on standard output."""
 
 import inspect
 import json
@@ -23,7 +23,7 @@ def make_console(*, quiet: bool, as_json: bool) -> Console:
 
 def print_json(value: Mapping[str, Any]) -> None:
     """One object on standard output; what JSON has no number for is null."""
-    print(json.dumps(_finite(value), indent=2))
+    sys.stdout.write(json.dumps(_finite(value), indent=2) + "\n")
 
 
 def evaluation_fields(evaluation: Any) -> dict[str, Any]:

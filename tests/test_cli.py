@@ -194,7 +194,7 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
 
     # The real Gymnasium environment, driven by the exported policy in NumPy.
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", 2, "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["policies"]
     assert [row["policy"] for row in rows] == ["run/seed_0/policy.npz", "run/seed_3/policy.npz"]
     expected = evaluate(load_policy("run/seed_3/policy.npz"), 2, "gymnasium")
     assert rows[1]["return_mean"] == expected.mean

@@ -304,6 +304,9 @@ def main() -> None:
     except KeyboardInterrupt:
         print("ailsrs: interrupted", file=sys.stderr)
         sys.exit(130)
+    except BrokenPipeError:  # nobody reads any longer, as after "| head"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except (UserError, VersionError) as error:
         print(f"ailsrs: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

@@ -285,6 +285,11 @@ COMMANDS = {
 }
 
 
+app = tyro.extras.SubcommandApp()
+for each in COMMANDS.values():
+    app.command(each)
+
+
 def main() -> None:
     """Run the command line; a user's mistake is one line on standard error and exit code 2."""
     logging.basicConfig(format="ailsrs: %(message)s")
@@ -292,9 +297,6 @@ def main() -> None:
         tyro._experimental_options["ansi_codes"] = False
     try:
         require_command(sys.argv[1:])
-        app = tyro.extras.SubcommandApp()
-        for command in COMMANDS.values():
-            app.command(command)
         # Flags have no opposites: none of them is on by default.
         app.cli(
             prog="ailsrs",

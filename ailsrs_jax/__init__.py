@@ -1,6 +1,7 @@
 """Adversarial imitation learning via random search, in JAX."""
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,6 +46,10 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
     from ailsrs_jax.video import Animation as Animation
     from ailsrs_jax.video import render as render
+
+# XLA, as it takes a program from the cache, prints lines about processor features that only tell
+# the compiler what to prefer. It reads this as JAX is imported; errors are raised all the same.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 # Where each public name lives. They are imported when first used: JAX takes seconds to import, and
 # the command line should answer before that.

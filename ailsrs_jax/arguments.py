@@ -1,5 +1,6 @@
 """Arguments that the commands share."""
 
+from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
@@ -14,12 +15,30 @@ EnvName = Annotated[
     ),
 ]
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
+# Where help would say "default: None" or "default: False", it says what happens instead.
+Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
+TrackerName = Annotated[str | None, arg(metavar="wandb|trackio", help_behavior_hint="")]
+OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
+Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+Quiet = Annotated[bool, arg(help="Print warnings and errors only.", help_behavior_hint="")]
+Json = Annotated[
+    bool,
+    arg(
+        name="json",
+        help="Print one JSON object on standard output, and all else on standard error.",
+        help_behavior_hint="",
+    ),
+]
 PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
 Settings = Annotated[
-    UseAppendAction[tuple[tuple[str, ...], ...]], arg(name="set", metavar="NAME=VALUE")
+    UseAppendAction[tuple[tuple[str, ...], ...]],
+    arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"),
 ]
-Seeds = UseAppendAction[tuple[tuple[int, ...], ...]]
+Seeds = Annotated[
+    UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
+]
 
 
 def assignments(

@@ -4,6 +4,7 @@ Whatever takes long to import is imported by the command that needs it, so that 
 answer at once.
 """
 
+import importlib.metadata
 import logging
 import os
 import signal
@@ -13,42 +14,63 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.arguments import (
+    AlgorithmName,
+    Count,
+    EnvName,
+    Flag,
+    Json,
+    OptionalPath,
+    PhysicsName,
+    Quiet,
+    Seeds,
+    Settings,
+    Source,
+    TrackerName,
+    assignments,
+)
+from ailsrs_jax.errors import UserError, did_you_mean
 from ailsrs_jax.measure_cli import benchmark, evaluate
 from ailsrs_jax.see_cli import render, report
 from ailsrs_jax.sweep_cli import merge, sweep
+from ailsrs_jax.terminal import (
+    as_command,
+    evaluation_fields,
+    make_console,
+    print_json,
+    this_command,
+)
 from ailsrs_jax.versions import VersionError
 
-app = tyro.extras.SubcommandApp()
-console = Console()
 
-
-@app.command
 def train(
     env: Positional[EnvName],
     algorithm: AlgorithmName = "ailsrs",
-    demonstrations: Annotated[str | None, arg(metavar="SOURCE")] = None,
-    num_trajectories: int | None = None,
+    demonstrations: Source = None,
+    num_trajectories: Count = None,
     subsample: Annotated[int, arg(metavar="K")] = 1,
     seeds: Seeds = (),
-    iterations: int | None = None,
+    iterations: Count = None,
     preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
     settings: Settings = (),
     physics: PhysicsName = "auto",
-    rollout_batch_size: int | None = None,
-    output: Path | None = None,
-    resume: bool = False,
+    rollout_batch_size: Count = None,
+    output: OptionalPath = None,
+    resume: Flag = False,
     checkpoint_every: Annotated[int, arg(metavar="K")] = 10,
-    distributed: bool = False,
+    track: TrackerName = None,
+    distributed: Flag = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Train a policy to imitate demonstrations, or on the environment's reward.
 
     Example: ailsrs train hopper --num-trajectories 10 --seeds 0 1 2
+
+    Example: ailsrs train hopper --demonstrations mine.npz --set noise_std=0.02 --output runs/mine
 
     Args:
         env: The task.
@@ -57,22 +79,28 @@ def train(
         demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library's;
             without it, the expert that ships with the package; expert:paper is one of the paper's
             return.
-        num_trajectories: Use the first so many; by default 10 of the shipped expert, else all.
+        num_trajectories: Use the first so many episodes; by default 10 of the shipped expert, else
+            all.
         subsample: Train on every K-th of their steps only, from a random one on.
-        seeds: Random seeds, trained together as one batched program; by default 0.
+        seeds: Random seeds, from 0, trained together as one batched program; by default 0. As in
+            --seeds 0 1 2.
         iterations: How many iterations to run, instead of the preset's.
         preset: Settings found to work on the task, or those of the algorithm's paper.
-        settings: Settings to change; a wrong name lists them all.
+        settings: Settings to change, as in --set noise_std=0.02 num_directions=64; a wrong name
+            lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        rollout_batch_size: Simulations of a device at a time, for less memory.
+        rollout_batch_size: Simulations of a device at a time, for less memory; by default all, or
+            what is fastest.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Go on from the newest checkpoint in the output directory.
         checkpoint_every: Save the whole state every K iterations.
+        track: Send the metrics to Weights & Biases or Trackio, too, an extra of the same name.
+            TensorBoard's are always written.
         distributed: One run on the devices of all processes of a SLURM, Open MPI, Kubernetes or
             Cloud TPU job, each of which is started with the same command.
     """
     from ailsrs_jax.plotting import plot_training_curve
-    from ailsrs_jax.progress import RunProgress, print_results
+    from ailsrs_jax.progress import RunProgress, evaluate_kept, print_results, results_fields
     from ailsrs_jax.runs import run
     from ailsrs_jax.runs.algorithms import find_algorithm
     from ailsrs_jax.runs.devices import is_first_process, join_processes
@@ -84,8 +112,8 @@ def train(
         if not find_algorithm(algorithm).searches:
             raise UserError(f"--distributed: {algorithm} has no directions to share")
         join_processes()
-        console.quiet = not is_first_process()
-
+        quiet = quiet or not is_first_process()
+    console = make_console(quiet=quiet, as_json=as_json)
     chosen = [seed for group in seeds for seed in group] or [0]
     plan = run.make_plan(
         env,
@@ -102,8 +130,11 @@ def train(
     config = plan.config
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to go on with")
-    name = env.replace(":", ".")  # a colon has a meaning in paths of scp, and on Windows
-    output = output or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    how_to_resume = [] if resume else ["--resume"]
+    if output is None:
+        name = env.replace(":", ".")  # a colon has a meaning in paths of scp, and on Windows
+        output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        how_to_resume = ["--output", str(output), "--resume"]
     learns_from = "the environment's reward"
     if config.num_trajectories:
         learns_from = f"{config.num_trajectories} demonstrations {config.demonstrations}"
@@ -112,20 +143,27 @@ def train(
         f"[bold]{title}[/] · {escape(learns_from)} · preset {preset} · seeds "
         f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({plan.physics_reason}) · "
         f"devices: {plan.devices.count} · {escape(str(output))}",
-        highlight=False,
         soft_wrap=True,
     )
     stop = StopSignals()
     try:
         with stop, RunProgress(console) as bar:
             result = run.execute(
-                plan, output, resume=resume, checkpoint_every=checkpoint_every, watch=bar, stop=stop
+                plan,
+                output,
+                resume=resume,
+                checkpoint_every=checkpoint_every,
+                track=track,
+                watch=bar,
+                stop=stop,
             )
     except KeyboardInterrupt:
-        console.print(f"the same command with --output {escape(str(output))} --resume goes on")
+        if is_first_process():
+            print(f"saved; go on with:\n{this_command(*how_to_resume)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
 
-    print_results(console, result, physics)
+    measured = [] if quiet and not as_json else evaluate_kept(result, physics)
+    print_results(console, result, measured)
     if not is_first_process():
         return
     if config.num_trajectories:
@@ -134,18 +172,23 @@ def train(
         plot_training_curve(output, title, result)
     except ImportError:
         console.print("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
-    console.print(f"policies, metrics and training curve are in {escape(str(output))}")
+    console.print(
+        f"policies, metrics and training curve are in {escape(str(output))}", soft_wrap=True
+    )
+    if as_json:
+        print_json(results_fields(result, measured, output))
 
 
-@app.command
 def demonstrate(
     env: Positional[EnvName],
     output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
     num_trajectories: int = 40,
-    expert: Path | None = None,
+    expert: OptionalPath = None,
     physics: PhysicsName = "auto",
     seed: int = 0,
     action_noise: float = 0.0,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Roll out an expert and write demonstrations.
 
@@ -154,11 +197,12 @@ def demonstrate(
     Args:
         env: The task.
         output: The .npz file to write, or minari:DATASET_ID for a new dataset of Minari's.
-        num_trajectories: Episodes to roll out.
+        num_trajectories: Episodes to roll out, each of at most 1000 steps.
         expert: The expert's policy.npz; without it, the one that ships with the package.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Of the initial states.
-        action_noise: Standard deviation of Gaussian noise added to the expert's actions.
+        seed: Of the initial states, from 0.
+        action_noise: Standard deviation of Gaussian noise added to the expert's actions, in their
+            units.
     """
     from ailsrs_jax.data.policies import expert_path, load_policy
     from ailsrs_jax.data.sources import require_target, save_recording
@@ -175,14 +219,24 @@ def demonstrate(
     )
     save_recording(recording, output)
     returns = recording.demonstrations.returns
-    console.print(
+    make_console(quiet=quiet, as_json=as_json).print(
         f"{num_trajectories} trajectories of {env_id}, return {returns.mean():.0f} ± "
         f"{returns.std():.0f}, in {escape(output)}",
-        highlight=False,
+        soft_wrap=True,
     )
+    if as_json:
+        print_json(
+            {
+                "output": output,
+                "env_id": env_id,
+                "num_trajectories": num_trajectories,
+                "return_mean": float(returns.mean()),
+                "return_std": float(returns.std()),
+                "length_mean": float(recording.demonstrations.lengths.mean()),
+            }
+        )
 
 
-@app.command
 def expert(
     env: Positional[EnvName],
     output: Path,
@@ -190,6 +244,8 @@ def expert(
     settings: Settings = (),
     physics: PhysicsName = "auto",
     seed: int = 0,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Train an expert on the environment's reward.
 
@@ -200,38 +256,69 @@ def expert(
         output: The policy file to write: the best policy met; the last one of es.
         algorithm: Brax's PPO or evolution strategy of a neural policy, or augmented random search
             of a linear one.
-        settings: Settings to change; a wrong name lists them all.
+        settings: Settings to change, as in --set num_env_steps=1000000; a wrong name lists them
+            all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Random seed.
+        seed: Random seed, from 0.
     """
     from ailsrs_jax.progress import RunProgress
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.runs.expert import search_expert
 
     changes = assignments(settings)
+    console = make_console(quiet=quiet, as_json=as_json)
     with RunProgress(console) as progress:
         policy = search_expert(env, seed, physics, changes, output, progress, algorithm)
+    if quiet and not as_json:
+        return
+    evaluation = evaluate(policy, physics=physics)
     console.print(
-        f"return {evaluate(policy, physics=physics)} over 100 episodes, in {escape(str(output))}",
-        highlight=False,
+        f"return {evaluation} over 100 episodes, in {escape(str(output))}", soft_wrap=True
     )
+    if as_json:
+        print_json({"output": str(output), "env_id": policy.env_id} | evaluation_fields(evaluation))
 
 
-for command in (evaluate, render, report, sweep, merge, benchmark):
-    app.command(command)
+COMMANDS = {
+    command.__name__: as_command(command)
+    for command in (train, demonstrate, expert, evaluate, render, report, sweep, merge, benchmark)
+}
+
+
+app = tyro.extras.SubcommandApp()
+for each in COMMANDS.values():
+    app.command(each)
 
 
 def main() -> None:
     """Run the command line; a user's mistake is one line on standard error and exit code 2."""
-    # XLA, as it takes a program from the cache, prints pages about processor features that only
-    # tell the compiler what to prefer.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     logging.basicConfig(format="ailsrs: %(message)s")
+    if os.environ.get("NO_COLOR"):  # https://no-color.org
+        tyro._experimental_options["ansi_codes"] = False
     try:
-        app.cli(prog="ailsrs", description=__doc__.splitlines()[0])
+        require_command(sys.argv[1:])
+        # Flags have no opposites: none of them is on by default.
+        app.cli(
+            prog="ailsrs",
+            description=importlib.metadata.metadata("ailsrs_jax")["Summary"],
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
+        )
     except KeyboardInterrupt:
         print("ailsrs: interrupted", file=sys.stderr)
         sys.exit(130)
+    except BrokenPipeError:  # nobody reads any longer, as after "| head"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except (UserError, VersionError) as error:
         print(f"ailsrs: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
+
+
+def require_command(arguments: list[str]) -> None:
+    """Raise UserError if the first of the arguments should be a command, and is none."""
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        name = arguments[0]
+        raise UserError(
+            f"unknown command '{name}'{did_you_mean(name, COMMANDS)}: use one of "
+            f"{', '.join(COMMANDS)}; ailsrs --help says more"
+        )

@@ -1,5 +1,8 @@
 """The one exception that reports a user's mistake."""
 
+import difflib
+from collections.abc import Iterable
+
 LONGEST = 1000  # characters of a message
 
 
@@ -20,3 +23,9 @@ def one_line(error: Exception) -> str:
     """What kind of error it is, and the first line of what it says."""
     text = next(iter(str(error).splitlines()), "")
     return f"{type(error).__name__}: {text if len(text) <= 300 else f'{text[:297]}...'}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """What to add to a complaint about an unknown name: the nearest of those that are known."""
+    nearest = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {nearest[0]}?)" if nearest else ""

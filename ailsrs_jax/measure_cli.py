@@ -1,21 +1,17 @@
 """The commands that measure: ``ailsrs evaluate`` and ``ailsrs benchmark``."""
 
 import dataclasses
-import json
-import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.arguments import EnvName
+from ailsrs_jax.arguments import EnvName, Flag, Json, Quiet
 from ailsrs_jax.errors import UserError
-
-console = Console()
+from ailsrs_jax.terminal import evaluation_fields, make_console, print_json
 
 
 def evaluate(
@@ -23,20 +19,22 @@ def evaluate(
     episodes: int = 100,
     physics: Annotated[str, arg(metavar="gymnasium|auto|mjx|mujoco")] = "gymnasium",
     seed: int = 0,
-    stochastic: bool = False,
-    as_json: Annotated[bool, arg(name="json")] = False,
+    stochastic: Flag = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Measure the return of a policy, or of every seed of a run.
 
-    Example: ailsrs evaluate runs/hopper --physics gymnasium
+    Example: ailsrs evaluate runs/hopper
+
+    Example: ailsrs evaluate runs/hopper/seed_0/policy.npz --episodes 20 --physics mujoco --json
 
     Args:
         policy: A policy.npz, or a run directory.
         episodes: Episodes of each policy, at most 1000 steps long.
         physics: gymnasium is the real environment with the policy in NumPy.
-        seed: Of the initial states.
+        seed: Of the initial states, from 0.
         stochastic: Draw the actions of a Gaussian policy, instead of taking their mean.
-        as_json: Print JSON.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
     from ailsrs_jax.envs.registry import open_env, require_harmless
@@ -44,34 +42,25 @@ def evaluate(
 
     in_gymnasium = physics == "gymnasium"
     rows: list[dict[str, Any]] = []
-    results: list[evaluation.Evaluation] = []
+    table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
     for path in policy_files(policy):
         loaded = load_policy(path)
         require_harmless(loaded.env_id, str(path))
         result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
-        results.append(result)
         rows.append(
             {
                 "policy": str(path),
                 "env_id": loaded.env_id,
                 "physics": physics if in_gymnasium else open_env(loaded.env_id, physics).engine,
-                "episodes": episodes,
-                "diverged": result.num_diverged,
-                # JSON has no NaN.
-                "return_mean": result.mean if math.isfinite(result.mean) else None,
-                "return_std": result.std if math.isfinite(result.std) else None,
-                "length_mean": float(result.lengths.mean()),
+                **evaluation_fields(result),
             }
         )
+        length = f"{result.lengths.mean():.0f}"
+        table.add_row(escape(str(path)), loaded.env_id, str(result), length)
     if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
-    for row, result in zip(rows, results, strict=True):
-        table.add_row(
-            escape(row["policy"]), row["env_id"], str(result), f"{row['length_mean']:.0f}"
-        )
-    console.print(table)
+        print_json({"policies": rows})
+    else:
+        make_console(quiet=quiet, as_json=as_json).print(table)
 
 
 def benchmark(
@@ -80,17 +69,21 @@ def benchmark(
     num_directions: int = 320,
     episode_length: int = 1000,
     repeats: int = 3,
-    as_json: Annotated[bool, arg(name="json")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Measure bare physics, rollouts, training steps and the peers that are installed.
+
+    Example: ailsrs benchmark halfcheetah
+
+    Example: ailsrs benchmark hopper walker2d --physics mujoco --num-directions 32 --json
 
     Args:
         envs: The tasks.
         physics: The engines.
         num_directions: Directions; twice as many policies are simulated.
-        episode_length: Steps of an episode.
+        episode_length: Environment steps of an episode.
         repeats: Turns that the stages take; the median counts.
-        as_json: Print JSON.
     """
     from ailsrs_jax.envs.physics import choose_engine
     from ailsrs_jax.envs.registry import resolve_env_id
@@ -103,6 +96,7 @@ def benchmark(
     engines = [choose_engine(engine)[0] for engine in physics]
     rows: list[Row] = []
     ratios: dict[str, float] = {}
+    console = make_console(quiet=quiet, as_json=as_json)
     with console.status("measuring") as status:
         for done in benchmark(env_ids, engines, num_directions, episode_length, repeats):
             rows += done.rows
@@ -111,7 +105,6 @@ def benchmark(
             if done.problem:
                 print(f"ailsrs: {done.problem}", file=sys.stderr)
     if as_json:
-        rows_as_json = [dataclasses.asdict(row) for row in rows]
-        print(json.dumps({"rows": rows_as_json, "ratios": ratios}, indent=2))
+        print_json({"rows": [dataclasses.asdict(row) for row in rows], "ratios": ratios})
     else:
         print_benchmark(console, rows, ratios)

@@ -14,8 +14,8 @@ from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.offscreen import require_renderer
 from ailsrs_jax.runs.replay import replay
-from ailsrs_jax.runs.run import PAPER_EXPERT
 from ailsrs_jax.runs.saved_run import SavedRun
+from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.sweep_report import Table
 from ailsrs_jax.video import Animation, require_encoder
 

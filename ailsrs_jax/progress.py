@@ -3,12 +3,12 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     TaskID,
     TextColumn,
@@ -17,13 +17,14 @@ from rich.progress import (
 from rich.table import Table
 
 from ailsrs_jax.runs.benchmark import Row
-from ailsrs_jax.runs.evaluation import evaluate
+from ailsrs_jax.runs.evaluation import Evaluation, evaluate
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep import Unit, is_done
 from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.runs.sweep_estimate import estimate, estimated_env_steps
+from ailsrs_jax.runs.sweep_estimate import Estimate, estimated_env_steps
 from ailsrs_jax.runs.sweep_tables import DONE, TableRow
 from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.terminal import evaluation_fields
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
 
@@ -35,9 +36,9 @@ class RunProgress:
         self._console = console
         self._live = console.is_terminal
         self._progress = Progress(
-            MofNCompleteColumn(),
+            # Where a terminal is narrow, the bar and the time give way to the text.
             BarColumn(bar_width=16),
-            TextColumn("{task.description}"),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}  {task.description}"),
             TimeRemainingColumn(),
             console=console,
             disable=not self._live,
@@ -162,19 +163,64 @@ def describe(report: IterationReport) -> str:
     return f"{text} · {steps:.2f} M steps · {speed:.1f} k/s"
 
 
-def print_results(console: Console, result: Result, physics: str) -> None:
+@dataclasses.dataclass(frozen=True)
+class Kept:
+    """The policy that a seed has kept, measured."""
+
+    seed: int
+    iteration: int
+    evaluation: Evaluation
+    drawn: Evaluation | None  # with its actions drawn, where they can be
+
+
+def evaluate_kept(result: Result, physics: str) -> list[Kept]:
+    """Measure 100 episodes of each seed's."""
+    return [
+        Kept(
+            seed,
+            result.kept_iterations[seed],
+            evaluate(policy, physics=physics),
+            evaluate(policy, physics=physics, stochastic=True) if policy.is_stochastic else None,
+        )
+        for seed, policy in result.policies.items()
+    ]
+
+
+def print_results(console: Console, result: Result, measured: Sequence[Kept]) -> None:
     """The table that ends a run: the return of the kept policies beside the expert's."""
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
-    for seed, policy in result.policies.items():
-        returns = str(evaluate(policy, physics=physics))
-        if policy.is_stochastic:
-            drawn = evaluate(policy, physics=physics, stochastic=True)
-            returns += f" (actions drawn: {drawn})"
-        table.add_row(str(seed), str(result.kept_iterations[seed]), returns)
+    for kept in measured:
+        returns = str(kept.evaluation)
+        if kept.drawn is not None:
+            returns += f" (actions drawn: {kept.drawn})"
+        table.add_row(str(kept.seed), str(kept.iteration), returns)
     expert = result.expert_returns
     if expert is not None:
         table.add_row("expert", "", f"{expert.mean():.0f} ± {expert.std():.0f}", style="dim")
     console.print(table)
+
+
+def results_fields(result: Result, measured: Sequence[Kept], output: Path) -> dict[str, Any]:
+    """The same for ``--json``."""
+    config, expert = result.config, result.expert_returns
+    return {
+        "output": str(output),
+        "env_id": config.env_id,
+        "physics": config.physics,
+        "algorithm": config.algorithm,
+        "seeds": [
+            {
+                "seed": kept.seed,
+                "kept_iteration": kept.iteration,
+                "policy": str(output / f"seed_{kept.seed}" / "policy.npz"),
+                **evaluation_fields(kept.evaluation),
+                "drawn": None if kept.drawn is None else evaluation_fields(kept.drawn),
+            }
+            for kept in measured
+        ],
+        "expert_return_mean": None if expert is None else float(expert.mean()),
+        "expert_return_std": None if expert is None else float(expert.std()),
+    }
 
 
 def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, float]) -> None:
@@ -199,11 +245,10 @@ def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, 
     console.print(table)
 
 
-def print_estimate(console: Console, units: Sequence[Unit]) -> None:
+def print_estimate(console: Console, estimates: Sequence[Estimate]) -> None:
     """The table of ``ailsrs sweep --dry-run``."""
     columns = ("algorithm", "environment", "physics", "cells", "programs", "steps, at most")
     table = Table(*columns, "memory", "physics alone", box=None)
-    estimates = estimate(units)
     for row in estimates:
         table.add_row(
             row.algorithm,

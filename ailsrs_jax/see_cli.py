@@ -3,25 +3,25 @@
 from pathlib import Path
 from typing import Annotated
 
-from rich.console import Console
 from rich.markup import escape
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.arguments import PhysicsName
+from ailsrs_jax.arguments import Flag, Json, OptionalPath, PhysicsName, Quiet
 from ailsrs_jax.errors import UserError
-
-console = Console()
+from ailsrs_jax.terminal import make_console, print_json
 
 
 def render(
     policy: Positional[Annotated[Path, arg(metavar="DIR|POLICY")]],
     output: Annotated[Path, arg(metavar="FILE.mp4|FILE.html")],
-    expert: Path | None = None,
-    alone: bool = False,
+    expert: OptionalPath = None,
+    alone: Flag = False,
     physics: PhysicsName = "auto",
     seed: int = 0,
     seconds: float = 10.0,
     size: int = 480,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Show one episode of a policy beside the expert's, from the same initial state.
 
@@ -33,12 +33,13 @@ def render(
         expert: The expert's policy.npz; without it, the one that ships with the package, if any.
         alone: Show no expert.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Of the initial state.
+        seed: Of the initial state, from 0.
         seconds: Show at most so many seconds of the episode, in real time.
         size: Height and width of each picture in pixels, an even number.
     """
     from ailsrs_jax import video
 
+    console = make_console(quiet=quiet, as_json=as_json)
     with console.status("rendering"):
         animation = video.render(
             policy,
@@ -54,14 +55,26 @@ def render(
         f"{label} {episode.num_steps} steps, return {episode.env_rewards.sum():.0f}"
         for label, episode in zip(animation.labels, animation.replays, strict=True)
     )
-    console.print(f"{shown}: {escape(str(output))}", highlight=False, soft_wrap=True)
+    console.print(f"{shown}: {escape(str(output))}", soft_wrap=True)
+    if as_json:
+        episodes = [
+            {
+                "label": label,
+                "length": episode.num_steps,
+                "return": float(episode.env_rewards.sum()),
+            }
+            for label, episode in zip(animation.labels, animation.replays, strict=True)
+        ]
+        print_json({"output": str(output), "episodes": episodes})
 
 
 def report(
     directory: Positional[Annotated[Path, arg(metavar="DIR")]],
-    output: Annotated[Path | None, arg(metavar="FILE.html")] = None,
+    output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
     episodes: int = 100,
     video: bool = True,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Write one self-contained HTML page on a run or a sweep.
 
@@ -80,6 +93,9 @@ def report(
     except ImportError:
         raise UserError("a report needs pip install 'ailsrs_jax[plot]'") from None
 
+    console = make_console(quiet=quiet, as_json=as_json)
     with console.status("writing the report"):
         path = html_report.report(directory, output, episodes=episodes, video=video)
-    console.print(f"{escape(str(path))}", highlight=False, soft_wrap=True)
+    console.print(escape(str(path)), soft_wrap=True)
+    if as_json:
+        print_json({"output": str(path)})

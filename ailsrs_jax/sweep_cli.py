@@ -1,5 +1,8 @@
 """The commands for many runs: ``ailsrs sweep`` and ``ailsrs merge``."""
 
+import contextlib
+import dataclasses
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,24 +12,29 @@ from rich.console import Console
 from rich.markup import escape
 from tyro.conf import Positional, arg
 
+from ailsrs_jax.arguments import Count, Flag, Json, OptionalPath, Quiet, TrackerName
 from ailsrs_jax.errors import UserError
-
-console = Console()
+from ailsrs_jax.terminal import make_console, print_json, this_command
 
 
 def sweep(
     spec: Positional[Path],
-    output: Path | None = None,
+    output: OptionalPath = None,
     shard: Annotated[str, arg(metavar="I/N")] = "0/1",
-    max_parallel: Annotated[int | None, arg(metavar="K")] = None,
+    max_parallel: Count = None,
     launcher: Annotated[str, arg(metavar="local|ray")] = "local",
-    dry_run: bool = False,
+    track: TrackerName = None,
+    dry_run: Flag = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Train every cell of a declarative grid: algorithms, tasks, demonstrations, settings, seeds.
 
     The same command goes on where it was stopped.
 
-    Example: ailsrs sweep experiments/smoke.toml
+    Example: ailsrs sweep experiments/smoke.toml --dry-run
+
+    Example: ailsrs sweep paper.toml --output /shared/paper --shard 0/4
 
     Args:
         spec: A TOML file; docs/sweeps.md says what it holds.
@@ -35,37 +43,53 @@ def sweep(
         max_parallel: With MJX, train at most so many cells at the same time, as one program; by
             default 64.
         launcher: On this machine, or on the Ray cluster that RAY_ADDRESS names.
+        track: Send the metrics of each cell to Weights & Biases or Trackio, too, an extra of the
+            same name.
         dry_run: Only say what would run, and what it costs at most.
     """
     from ailsrs_jax.progress import SweepProgress, print_estimate
     from ailsrs_jax.runs import sweep as sweeps
+    from ailsrs_jax.runs.sweep_estimate import estimate
     from ailsrs_jax.runs.sweep_spec import expand, read_spec
+    from ailsrs_jax.runs.trackers import require_tracker
+    from ailsrs_jax.signals import StopSignals
 
     sweeps.require_launcher(launcher)
+    require_tracker(track)
+    console = make_console(quiet=quiet, as_json=as_json)
     grid = expand(read_spec(spec))
     output = output or Path("runs") / spec.stem
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
     units = sweeps.choose_units(grid, parse_shard(shard), max_parallel)
     if dry_run:
-        print_estimate(console, sweeps.pending(units, output))
+        estimates = estimate(sweeps.pending(units, output))
+        print_estimate(console, estimates)
+        if as_json:
+            print_json({"to_train": [dataclasses.asdict(each) for each in estimates]})
         return
     grid.save(output / sweeps.SWEEP_FILE)
     console.print(
         f"[bold]{escape(str(spec))}[/] · {len(grid.cells)} cells · {escape(str(output))}",
-        highlight=False,
         soft_wrap=True,
     )
+    stop = StopSignals()
+    listening = stop if launcher == "local" else contextlib.nullcontext()
     try:
-        with SweepProgress(console, units, output) as watch:
+        with listening, SweepProgress(console, units, output) as watch:
             pending = sweeps.pending(units, output)
-            rows = sweeps.run_units(grid, pending, output, watch, launcher)
+            rows = sweeps.run_units(grid, pending, output, watch, launcher, track, stop)
     except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on")
-        sys.exit(130)
-    report(rows, output)
+        print(f"saved; go on with:\n{this_command()}", file=sys.stderr)
+        sys.exit(128 + (stop.received or signal.SIGINT))
+    report(console, rows, output, as_json=as_json)
 
 
-def merge(output: Positional[Path], sources: Positional[tuple[Path, ...]]) -> None:
+def merge(
+    output: Positional[Path],
+    sources: Positional[tuple[Path, ...]],
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
     """Put the directories of a sweep's shards together.
 
     Example: ailsrs merge runs/paper shards/0 shards/1
@@ -76,25 +100,31 @@ def merge(output: Positional[Path], sources: Positional[tuple[Path, ...]]) -> No
     """
     from ailsrs_jax.runs.sweep import merge_sweeps
 
-    report(merge_sweeps(output, sources), output)
+    console = make_console(quiet=quiet, as_json=as_json)
+    report(console, merge_sweeps(output, sources), output, as_json=as_json)
 
 
-def report(rows: Sequence[Mapping[str, Any]], output: Path) -> None:
+def report(
+    console: Console, rows: Sequence[Mapping[str, Any]], output: Path, *, as_json: bool
+) -> None:
     """Write table and figures, and say what has failed: then the exit code is 1."""
     from ailsrs_jax.runs.sweep_tables import DONE
     from ailsrs_jax.sweep_report import report_sweep
 
     report_sweep(output)
+    if as_json:
+        print_json({"output": str(output), "cells": rows})
     failed = [row for row in rows if row["status"] != DONE]
     for row in failed:
         console.print(f"{row['cell']} {row['status']}", style="red", markup=False, soft_wrap=True)
     console.print(
         f"{len(rows)} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
-        highlight=False,
         soft_wrap=True,
     )
     if failed:
-        console.print(f"{len(failed)} of them have failed; the same command tries them again")
+        console.print(
+            f"{len(failed)} of them have failed; the same command tries them again", soft_wrap=True
+        )
         sys.exit(1)
 
 

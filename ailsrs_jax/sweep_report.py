@@ -44,7 +44,9 @@ def report_sweep(directory: Path) -> None:
     try:
         from ailsrs_jax.figures import draw_figures
     except ImportError:
-        Console().print("no figures: they need pip install 'ailsrs_jax[plot]'", markup=False)
+        Console(stderr=True).print(
+            "no figures: they need pip install 'ailsrs_jax[plot]'", markup=False
+        )
         return
     draw_figures(results, directory / "figures")
 

@@ -19,7 +19,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.offscreen import pictures, require_renderer
 from ailsrs_jax.runs.config import read_config
 from ailsrs_jax.runs.replay import Replay, replay
-from ailsrs_jax.runs.run import PAPER_EXPERT
+from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.viewer import viewer_html
 
 SUFFIXES = (".mp4", ".html")

@@ -120,6 +120,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         f"train hopper --demonstrations {'x' * 300}",
         "train hopper --rollout-batch-size 0",
         "train hopper --set num_directions=3000000 --output run",
+        "train hopper --track mlflow --output run",
         "train hopper --distributed",
         "train hopper --distributed --output run",
         "benchmark hoper",
@@ -194,7 +195,7 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
 
     # The real Gymnasium environment, driven by the exported policy in NumPy.
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", 2, "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["policies"]
     assert [row["policy"] for row in rows] == ["run/seed_0/policy.npz", "run/seed_3/policy.npz"]
     expected = evaluate(load_policy("run/seed_3/policy.npz"), 2, "gymnasium")
     assert rows[1]["return_mean"] == expected.mean
@@ -202,19 +203,32 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
 
     assert ailsrs(monkeypatch, "train", *arguments) == 2
     assert "add --resume" in capsys.readouterr().err
-    assert ailsrs(monkeypatch, "train", *arguments, "--resume") == 0
+    assert ailsrs(monkeypatch, "train", *arguments, "--resume", "--json") == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert [seed["policy"] for seed in result["seeds"]] == [row["policy"] for row in rows]
+    assert result["algorithm"] == "ailsrs"
+    assert "policies, metrics and training curve are in run" in printed.err
 
 
 def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
     settings = ["num_iterations=2", "num_directions=2", "num_top_directions=1"]
     arguments = ["--algorithm", "ars", "--set", *settings, "episode_length=10"]
-    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments, "--output", "expert.npz") == 0
+    arguments += ["--output", "expert.npz", "--quiet", "--json"]
+    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["env_id"] == "Swimmer-v5"
+    assert not printed.err
     assert load_policy("expert.npz").env_id == "Swimmer-v5"
     arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "own.npz"]
     assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
     assert "2 trajectories of Swimmer-v5, return" in capsys.readouterr().out
     demonstrations = load_demonstrations("own.npz")
     assert demonstrations.observations.shape == (2, 1000, 8)
+    arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "json.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments, "--json") == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert fields["return_mean"] == float(demonstrations.returns.mean())
     arguments = ["--expert", "expert.npz", "--output", "other.npz"]
     assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
 

@@ -90,6 +90,6 @@ def test_without_matplotlib_there_are_tables_and_one_line(
 
     monkeypatch.setattr(builtins, "__import__", without)
     report_sweep(write_sweep(tmp_path, [row(0.9)]))
-    assert capsys.readouterr().out == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
+    assert capsys.readouterr().err == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
     assert (tmp_path / "table.md").exists()
     assert not (tmp_path / "figures").exists()

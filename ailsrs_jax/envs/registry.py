@@ -19,7 +19,7 @@ from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.swimmer import Swimmer
 from ailsrs_jax.envs.walker2d import Walker2d
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, did_you_mean, one_line
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -59,9 +59,10 @@ def resolve_env_id(name: str) -> str:
     if ":" in name:
         return name
     known = ", ".join(map(short_name, TASKS))
+    nearby = TASKS if name[:1].isupper() else map(short_name, TASKS)
     raise UserError(
-        f"unknown environment '{name}': use one of {known}, or module:attribute for one of your "
-        "own; or, in Python, hand in the environment itself as env"
+        f"unknown environment '{name}'{did_you_mean(name, nearby)}: use one of {known}, or "
+        "module:attribute for one of your own; or, in Python, hand in the environment itself as env"
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, did_you_mean
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.ars import make_ars
 from ailsrs_jax.trainers.behavior_cloning import make_behavior_cloning
@@ -56,7 +56,8 @@ def find_algorithm(name: str) -> Algorithm:
         UserError: there is none.
     """
     if name not in ALGORITHMS:
-        raise UserError(f"unknown algorithm '{name}': use one of {', '.join(ALGORITHMS)}")
+        hint = did_you_mean(name, ALGORITHMS)
+        raise UserError(f"unknown algorithm '{name}'{hint}: use one of {', '.join(ALGORITHMS)}")
     return ALGORITHMS[name]
 
 

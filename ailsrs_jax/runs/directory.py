@@ -14,8 +14,9 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, installed_versions, read_config
 from ailsrs_jax.runs.devices import is_first_process
+from ailsrs_jax.runs.journal import Journal
 from ailsrs_jax.runs.policies import kept_policies
-from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
+from ailsrs_jax.runs.tracking import IterationReport
 
 LOCK = ".lock"
 
@@ -23,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 
 class RunDirectory:
-    """Checkpoints, ``metrics.csv`` and the kept policies of a run; a context manager.
+    """Checkpoints, the journal and the kept policies of a run; a context manager.
 
     All processes of a run have one, and the first writes all but the checkpoints.
     """
@@ -32,7 +33,7 @@ class RunDirectory:
         """Write to ``path``, which is :func:`claimed`."""
         self._path = path
         self._config = config
-        self._metrics: MetricsFile | None = None
+        self._journal: Journal | None = None
         self._checkpoints = Checkpoints(path / "checkpoints", checkpoint_every, config.as_json())
 
     def __enter__(self) -> "RunDirectory":
@@ -58,7 +59,7 @@ class RunDirectory:
             about |= {"versions": installed_versions()}
             self._config.require_same(about, self._path / "checkpoints")
         if is_first_process():
-            self._metrics = MetricsFile(self._path / "metrics.csv", self._config.seeds, num_done)
+            self._journal = Journal(self._path, self._config, num_done, progress["steps"])
             if num_done > 0:
                 self._save_policies(progress["state"])
         return num_done, progress
@@ -71,8 +72,8 @@ class RunDirectory:
         """
         num_done = report.iteration + 1
         save = save or self._checkpoints.is_due(num_done)
-        if self._metrics is not None:
-            self._metrics.append(report, to_disk=save)
+        if self._journal is not None:
+            self._journal.append(report, to_disk=save)
         if save:
             self._checkpoints.save(num_done, progress)
             if is_first_process():
@@ -84,8 +85,8 @@ class RunDirectory:
         Raises:
             UserError: it cannot be written.
         """
-        if self._metrics is not None:
-            self._metrics.append(report, to_disk=True)
+        if self._journal is not None:
+            self._journal.append(report, to_disk=True)
         self._checkpoints.save(report.iteration, before)
 
     def _save_policies(self, state: Any) -> None:

@@ -9,20 +9,18 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.data.demonstrations import Demonstrations, validated
+from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.policies import SavedPolicy
-from ailsrs_jax.data.sources import open_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm, make_trainer
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
-from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import (
     anywhere,
     choose_batch_size,
     choose_devices,
+    is_first_process,
     set_up_jax,
     together,
 )
@@ -30,17 +28,15 @@ from ailsrs_jax.runs.directory import RunDirectory, claimed
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.runs.tracked import tracked
+from ailsrs_jax.runs.trackers import require_tracker
 from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
-from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.settings import override
 from ailsrs_jax.trainers.trainer import Trainer
 
 CHECKPOINT_EVERY = 10  # iterations
-NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
-PAPER_EXPERT = "expert:paper"
-# What config.json calls demonstrations without a name.
-SHIPPED_EXPERT, HANDED_IN = "of the expert that ships with the package", "handed in"
 
 Watch = Callable[[IterationReport], None]
 
@@ -97,6 +93,7 @@ def train(
     resume: bool = False,
     checkpoint_every: int = CHECKPOINT_EVERY,
     rollout_batch_size: int | None = None,
+    track: str | None = None,
     watch: Watch | None = None,
     **settings: Any,
 ) -> Result:
@@ -120,6 +117,7 @@ def train(
         checkpoint_every: save the state every so many iterations.
         rollout_batch_size: simulations of a device at a time, for less memory; the results are
             the same but for rounding. By default all, or what is fastest.
+        track: ``wandb`` or ``trackio``, to follow the metrics there too, as docs/tracking.md says.
         watch: called after every iteration.
         settings: fields of the algorithm's settings to change, for example of
             :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
@@ -145,6 +143,7 @@ def train(
         Path(output) if output else None,
         resume=resume,
         checkpoint_every=checkpoint_every,
+        track=track,
         watch=watch,
     )
 
@@ -179,10 +178,10 @@ def make_plan(
     settings = override(preset_settings(env_id, preset, algorithm), assignments)
     source = sha256 = None
     if chosen.imitates:
-        demonstrations, source = _find_demonstrations(
+        demonstrations, source = find_demonstrations(
             demonstrations, num_trajectories, env_id, engine
         )
-        _require_fit(demonstrations, env_id, task)
+        require_fit(demonstrations, env_id, task)
         if subsample != 1:
             demonstrations = demonstrations.subsample(subsample)
         sha256 = content_hash(demonstrations)
@@ -208,34 +207,13 @@ def make_plan(
     return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
 
 
-def _find_demonstrations(
-    demonstrations: str | Path | Demonstrations | None,
-    num_trajectories: int | None,
-    env_id: str,
-    engine: str,
-) -> tuple[Demonstrations, str]:
-    """The first ``num_trajectories`` of what is asked for, and what to call it."""
-    if demonstrations is None or demonstrations == PAPER_EXPERT:
-        source = demonstrations or SHIPPED_EXPERT
-        of_paper = demonstrations == PAPER_EXPERT
-        num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
-        demonstrations = expert_demonstrations(env_id, num_trajectories, engine, of_paper=of_paper)
-    elif isinstance(demonstrations, Demonstrations):
-        source = HANDED_IN
-        demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
-    else:
-        demonstrations, source = open_source(demonstrations, env_id, num_trajectories)
-    if num_trajectories is not None:
-        demonstrations = demonstrations.first(num_trajectories)
-    return demonstrations, source
-
-
 def execute(
     plan: Plan,
     output: Path | None = None,
     *,
     resume: bool = False,
     checkpoint_every: int = CHECKPOINT_EVERY,
+    track: str | None = None,
     watch: Watch | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -246,6 +224,7 @@ def execute(
         output: the run directory.
         resume: go on from its newest checkpoint.
         checkpoint_every: so many iterations.
+        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.trackers`.
         watch: called after every iteration.
         stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 
@@ -258,8 +237,10 @@ def execute(
     trainer = plan.make_trainer()
     if checkpoint_every < 1:
         raise UserError(f"checkpoint_every is {checkpoint_every}: it must be at least 1")
-    if resume and output is None:
-        raise UserError("resume needs output, the directory of the run to go on with")
+    for name, given in (("resume", resume), ("track", track)):
+        if given and output is None:
+            raise UserError(f"{name} needs output, the directory of the run")
+    require_tracker(track)
     with ExitStack() as stack:
         if output is not None:
             with together(config.fingerprint()):
@@ -267,10 +248,12 @@ def execute(
         init = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))
         seeds = np.array(config.seeds, np.int32)
         num_done, progress = 0, {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}
-        directory = None
+        directory = tracker = None
         if output is not None:
             directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
             num_done, progress = directory.restore(progress)
+            if is_first_process():
+                tracker = stack.enter_context(tracked(track, [output]))
 
         for state, report in iterate(
             trainer.update,
@@ -289,6 +272,8 @@ def execute(
             progress = {"state": state, "steps": report.metrics["env_steps"]}
             if directory is not None:
                 directory.record(report, progress, save=stopping or report.is_last)
+            if tracker is not None:
+                tracker.check()
             if watch is not None:
                 watch(report)
             if stopping:
@@ -303,28 +288,3 @@ def execute(
         ),
         expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
     )
-
-
-def _require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
-    if demonstrations.env_id != env_id:
-        raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
-    n, p = env_sizes(env)
-    actions = demonstrations.actions
-    observed = demonstrations.observations.shape[-1]
-    acted = p if actions is None else actions.shape[-1]
-    if (observed, acted) != (n, p):
-        raise UserError(
-            f"the demonstrations have {observed} observations and "
-            f"{'no' if actions is None else acted} actions: {env_id} has {n} and {p}"
-        )
-    if actions is None:
-        return
-    low, high = map(np.asarray, action_range(env))
-    alive = np.asarray(demonstrations.alive)
-    slack = 1e-5 * (high - low)  # for rounding
-    for index, values in enumerate(np.asarray(actions)[alive].T):
-        if values.min() < low[index] - slack[index] or values.max() > high[index] + slack[index]:
-            raise UserError(
-                f"action {index} of the demonstrations goes from {values.min():g} to "
-                f"{values.max():g}: {env_id} takes {low[index]:g} to {high[index]:g}"
-            )

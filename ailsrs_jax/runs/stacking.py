@@ -14,9 +14,11 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.directory import claimed
 from ailsrs_jax.runs.iterations import iterate
+from ailsrs_jax.runs.journal import Journal
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.run import CHECKPOINT_EVERY, Plan, Result, Watch
-from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
+from ailsrs_jax.runs.tracked import tracked
+from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.expert import Expert
 from ailsrs_jax.trainers.trainer import Trainer
 
@@ -45,6 +47,8 @@ def execute_stack(
     checkpoint_directory: Path,
     watches: Sequence[Watch],
     watch: Watch | None = None,
+    track: str | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[Result | UserError]:
     """Run ``plans`` of one seed each, and the same :func:`stack_key`, together.
 
@@ -61,6 +65,8 @@ def execute_stack(
         checkpoint_directory: of all together.
         watches: told of each run's iterations.
         watch: told of those of all together.
+        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.trackers`.
+        stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 
     Returns:
         Of each run its result; or, if most episodes of an iteration diverged, the error that says
@@ -94,10 +100,11 @@ def execute_stack(
         progress = {"state": state, "steps": np.zeros(len(plans), np.int64)}
         checkpoints = stack.enter_context(Checkpoints(checkpoint_directory, CHECKPOINT_EVERY))
         num_done, progress, _ = checkpoints.restore(progress)
-        files = [
-            MetricsFile(output / "metrics.csv", plan.config.seeds, num_done)
-            for plan, output in zip(plans, outputs, strict=True)
+        journals = [
+            Journal(output, plan.config, num_done, progress["steps"][index : index + 1])
+            for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
         ]
+        tracker = stack.enter_context(tracked(track, outputs))
         waiting = _finished(progress["state"], len(plans))
         for state, report in iterate(
             update,
@@ -108,10 +115,11 @@ def execute_stack(
             arguments,
         ):
             progress = {"state": state, "steps": report.metrics["env_steps"]}
-            save = report.is_last or checkpoints.is_due(report.iteration + 1)
+            stopping = stop() and not report.is_last
+            save = stopping or report.is_last or checkpoints.is_due(report.iteration + 1)
             for index in np.flatnonzero(~waiting).tolist():
                 mine = _part_of_report(report, index)
-                files[index].append(mine, to_disk=save)
+                journals[index].append(mine, to_disk=save)
                 watches[index](mine)
                 try:
                     mine.require_most_finite()
@@ -119,8 +127,12 @@ def execute_stack(
                     problems.setdefault(index, error)
             if save:
                 checkpoints.save(report.iteration + 1, progress)
+            if tracker is not None:
+                tracker.check()
             if watch is not None:
                 watch(report)
+            if stopping:
+                raise KeyboardInterrupt
             waiting = _finished(state, len(plans))
 
         return [

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,6 +26,7 @@ from ailsrs_jax.runs.sweep_tables import (
     timing_row,
     write_tables,
 )
+from ailsrs_jax.runs.trackers import require_tracker
 from ailsrs_jax.runs.tracking import IterationReport
 
 SWEEP_FILE = "sweep.json"
@@ -56,6 +57,7 @@ def sweep(
     shard: tuple[int, int] = (0, 1),
     max_parallel: int = MAX_PARALLEL,
     launcher: str = "local",
+    track: str | None = None,
     watch: SweepWatch | None = None,
 ) -> list[TableRow]:
     """Train every cell of a grid that is not finished yet, and write the tables.
@@ -68,6 +70,7 @@ def sweep(
         shard: I and N, to train only the I-th of N parts, I from 0.
         max_parallel: train at most so many cells at the same time, as one program.
         launcher: ``local``, one program after the other on this machine, or ``ray``, on a cluster.
+        track: ``wandb`` or ``trackio``, to follow the metrics there too, as docs/tracking.md says.
         watch: is told how it goes.
 
     Returns:
@@ -78,10 +81,11 @@ def sweep(
     """
     grid = expand(spec if isinstance(spec, Mapping) else read_spec(Path(spec)))
     require_launcher(launcher)
+    require_tracker(track)
     units = choose_units(grid, shard, max_parallel)
     output = Path(output)
     grid.save(output / SWEEP_FILE)
-    return run_units(grid, pending(units, output), output, watch, launcher)
+    return run_units(grid, pending(units, output), output, watch, launcher, track)
 
 
 def require_launcher(name: str) -> None:
@@ -132,17 +136,27 @@ def is_done(output: Path, cell: Cell) -> bool:
 
 
 def run_units(
-    grid: Sweep, units: Sequence[Unit], output: Path, watch: SweepWatch | None, launcher: str
+    grid: Sweep,
+    units: Sequence[Unit],
+    output: Path,
+    watch: SweepWatch | None,
+    launcher: str,
+    track: str | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[TableRow]:
-    """Train ``units``, and return the rows of ``results.csv``."""
+    """Train ``units``, and return the rows of ``results.csv``.
+
+    On this machine ``stop`` is asked after every iteration; if true, what is trained is saved and
+    KeyboardInterrupt raised.
+    """
     rows = write_tables(output, grid.cells)
     if launcher == "local":
         for unit in units:
-            run_unit(unit, output, grid.episodes, watch)
+            run_unit(unit, output, grid.episodes, track, watch, stop)
             rows = write_tables(output, grid.cells)
         return rows
     left = {cell.name for unit in units for cell in unit if not is_done(output, cell)}
-    for unit, problem in run_on_ray(run_unit, units, output, grid.episodes):
+    for unit, problem in run_on_ray(run_unit, units, output, grid.episodes, track):
         for cell in unit:
             if problem is not None and not is_done(output, cell):
                 save_result(output / "cells" / cell.name, failed_row(cell, problem), None)
@@ -189,7 +203,14 @@ def _copy(source: Path, target: Path) -> None:
         raise UserError(f"cannot copy {source} to {target}: {error}") from error
 
 
-def run_unit(unit: Unit, output: Path, episodes: int, watch: SweepWatch | None) -> None:
+def run_unit(
+    unit: Unit,
+    output: Path,
+    episodes: int,
+    track: str | None,
+    watch: SweepWatch | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> None:
     """Train cells together, or go on with them, and evaluate what they have kept."""
     cells = [cell for cell in unit if not is_done(output, cell)]
     if watch is not None:
@@ -199,11 +220,13 @@ def run_unit(unit: Unit, output: Path, episodes: int, watch: SweepWatch | None) 
     problem: Exception | None = None
     try:
         together = _stacked(unit, cells, stack_directory)
-        trained = _train(together, output, stack_directory, watch)
+        trained = _train(together, output, stack_directory, track, watch, stop)
         results = {cell.name: result for cell, result in zip(together, trained, strict=True)}
     except Exception as error:  # of whatever kind: the others can still be trained
         problem = error
     for cell in cells:
+        if stop():  # an evaluation takes its time
+            raise KeyboardInterrupt
         directory, timing = output / "cells" / cell.name, None
         try:
             if problem is not None:
@@ -241,7 +264,12 @@ def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list
 
 
 def _train(
-    unit: Sequence[Cell], output: Path, stack_directory: Path, watch: SweepWatch | None
+    unit: Sequence[Cell],
+    output: Path,
+    stack_directory: Path,
+    track: str | None,
+    watch: SweepWatch | None,
+    stop: Callable[[], bool],
 ) -> list[Result | UserError]:
     plans = [cell.make_plan() for cell in unit]
     directories = [output / "cells" / cell.name for cell in unit]
@@ -251,7 +279,7 @@ def _train(
     stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
     if len(unit) > 1:
         checkpoints = stack_directory / "checkpoints"
-        return execute_stack(plans, directories, checkpoints, stopwatches, watch)
+        return execute_stack(plans, directories, checkpoints, stopwatches, watch, track, stop)
 
     def tell(report: IterationReport) -> None:
         stopwatches[0](report)
@@ -260,7 +288,7 @@ def _train(
 
     (plan,), (directory,) = plans, directories
     started = (directory / "config.json").exists()
-    return [execute(plan, directory, resume=started, watch=tell)]
+    return [execute(plan, directory, resume=started, track=track, watch=tell, stop=stop)]
 
 
 def _hash(text: str) -> str:

@@ -10,7 +10,11 @@ RETRIES = 10  # of a unit whose worker is lost; each goes on from its newest che
 
 
 def run_on_ray(
-    run_unit: Callable[..., None], units: Sequence[tuple[Cell, ...]], output: Path, episodes: int
+    run_unit: Callable[..., None],
+    units: Sequence[tuple[Cell, ...]],
+    output: Path,
+    episodes: int,
+    track: str | None,
 ) -> Iterator[tuple[tuple[Cell, ...], str | None]]:
     """Run ``units`` on the cluster that ``RAY_ADDRESS`` names, or on this machine alone.
 
@@ -18,10 +22,11 @@ def run_on_ray(
     ``output``, and the working directory with what the cells name, under the same paths.
 
     Args:
-        run_unit: what trains a unit, given the unit, ``output``, ``episodes`` and None.
+        run_unit: what trains a unit, given the unit, ``output``, ``episodes`` and ``track``.
         units: cells that are trained together.
         output: the directory of the sweep.
         episodes: of each kept policy.
+        track: where else the metrics go.
 
     Yields:
         Each unit as it ends, and why it could not be run if no worker survived it.
@@ -43,7 +48,7 @@ def run_on_ray(
         if any("GPU" in node for node in nodes):
             resources = {"num_gpus": 1}
         remote = ray.remote(max_retries=RETRIES, **resources)(run_unit)
-        running = {remote.remote(unit, output.absolute(), episodes, None): unit for unit in units}
+        running = {remote.remote(unit, output.absolute(), episodes, track): unit for unit in units}
         while running:
             (ended,), _ = ray.wait(list(running))
             unit, problem = running.pop(ended), None

@@ -14,7 +14,7 @@ import jax
 
 from ailsrs_jax.data.files import read_small
 from ailsrs_jax.envs.registry import require_harmless
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, did_you_mean, one_line
 from ailsrs_jax.runs.config import RunConfig, require_seed
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.run import make_plan
@@ -211,7 +211,10 @@ def _name(cell: Cell, seed: int) -> str:
 def _require_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in table:
         if key not in known:
-            raise UserError(f"{where}: there is no key '{key}': use one of {', '.join(known)}")
+            hint = did_you_mean(key, known)
+            raise UserError(
+                f"{where}: there is no key '{key}'{hint}: use one of {', '.join(known)}"
+            )
 
 
 def _values(where: str, key: str, value: Any) -> list[Any]:

@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import jax
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, did_you_mean
 
 POSITIVE = {
     "step_size",
@@ -36,7 +36,8 @@ def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
     changes: dict[str, Any] = {}
     for name, text in assignments.items():
         if name not in types:
-            raise UserError(f"there is no setting '{name}': use one of {', '.join(types)}")
+            hint = did_you_mean(name, types)
+            raise UserError(f"there is no setting '{name}'{hint}: use one of {', '.join(types)}")
         changes[name] = _parse(name, text, types[name])
     changed = dataclasses.replace(settings, **changes)  # type: ignore[type-var]
     validate(changed)

@@ -45,7 +45,6 @@ def start(
             | {
                 "JAX_NUM_CPU_DEVICES": str(devices),
                 "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-                "TF_CPP_MIN_LOG_LEVEL": "3",
                 "XDG_CACHE_HOME": str(cache),
             },
             stderr=subprocess.PIPE,

@@ -15,6 +15,7 @@ from ailsrs_jax.runs.stacking import execute_stack, stack_key
 from ailsrs_jax.trainers.devices import ONE_DEVICE
 from tests.point_mass import PointMass
 from tests.runs.test_algorithms import TINY
+from tests.runs.test_tracking import require_events
 
 # More steps of either would make much of a little rounding.
 FEW_STEPS = {"conjugate_gradient_steps": 1, "behavior_cloning_steps": 5}
@@ -90,6 +91,7 @@ def test_stacked_runs_are_those_alone(
                 ours[name],
                 theirs[name],
             )
+        require_events(directories[index], (seed,))
         ours, theirs = metrics(directories[index]), metrics(tmp_path / "alone" / str(index))
         assert ours.keys() == theirs.keys()
         for name in ours:

@@ -13,7 +13,7 @@ import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.progress import SweepProgress
 from ailsrs_jax.runs.evaluation import evaluate_random
-from ailsrs_jax.runs.sweep import choose_units, merge_sweeps
+from ailsrs_jax.runs.sweep import choose_units, merge_sweeps, run_units
 from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
@@ -249,6 +249,21 @@ def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: 
     assert not list(Path().glob("*/stacks/*"))
 
 
+@pytest.mark.parametrize("max_parallel", [1, 64])
+def test_told_to_stop_it_saves_first(in_tmp_path: Path, max_parallel: int) -> None:
+    sweep = expand(quick_grid(seeds=[0, 1], settings={"num_iterations": 9}))
+    units = choose_units(sweep, (0, 1), max_parallel)
+    watch, output = Watch(), Path("sweep")
+
+    def stop() -> bool:
+        return watch.num_reports >= 3
+
+    with pytest.raises(KeyboardInterrupt):
+        run_units(sweep, units, output, watch, "local", stop=stop)
+    assert watch.num_reports == 4
+    assert [path.name for path in output.rglob("checkpoints/4")] == ["4"]
+
+
 def test_what_a_sweep_says(demonstrations: str) -> None:
     spec = grid(demonstrations, num_trajectories=[2, 8])
     rows = ail.sweep(spec, "sweep")
@@ -369,6 +384,9 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     # Two cells, three iterations, four directions forwards and backwards, eight evaluations.
     printed = capsys.readouterr().out
     assert f"2 cells in 1 programs, at most {2 * 3 * 16 * 20 / 1e6:.1f} M steps" in printed
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--json", "--quiet") == 0
+    (planned,) = json.loads(capsys.readouterr().out)["to_train"]
+    assert (planned["num_cells"], planned["env_steps"]) == (2, 2 * 3 * 16 * 20)
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", "half") == 2
     assert "--shard half: write I/N" in capsys.readouterr().err
     assert not Path("out").exists()
@@ -379,7 +397,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(SweepProgress, "__call__", interrupt)
         assert ailsrs(patched, "sweep", "tiny.toml", "--output", "out") == 130
-    assert "interrupted; the same command goes on" in capsys.readouterr().out
+    assert "saved; go on with:\nailsrs sweep tiny" in capsys.readouterr().err
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
     printed = capsys.readouterr().out
     assert "2/2  tests.point" in printed
@@ -397,7 +415,9 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     printed = capsys.readouterr().out
     assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in printed
     assert "1 of them have failed; the same command tries them again" in printed
-    assert ailsrs(monkeypatch, "merge", "merged", "out") == 1
+    assert ailsrs(monkeypatch, "merge", "merged", "out", "--json") == 1
+    cells = json.loads(capsys.readouterr().out)["cells"]
+    assert [row["status"].partition(":")[0] for row in cells] == ["done", "failed"]
 
 
 def test_what_is_finished_is_never_trained_again(in_tmp_path: Path) -> None:

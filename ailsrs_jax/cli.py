@@ -19,6 +19,7 @@ from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import AlgorithmName, EnvName, PhysicsName, Seeds, Settings, assignments
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.export_cli import export
 from ailsrs_jax.measure_cli import benchmark, evaluate
 from ailsrs_jax.sweep_cli import merge, sweep
 from ailsrs_jax.versions import VersionError
@@ -159,13 +160,14 @@ def demonstrate(
         seed: Of the initial states.
         action_noise: Standard deviation of Gaussian noise added to the expert's actions.
     """
-    from ailsrs_jax.data.policies import expert_path, load_policy
+    from ailsrs_jax.data.policies import load_policy
     from ailsrs_jax.data.sources import require_target, save_recording
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs import demonstrate
+    from ailsrs_jax.runs.policies import load_expert
 
     env_id = resolve_env_id(env)
-    policy = load_policy(expert or expert_path(env_id))
+    policy = load_policy(expert) if expert else load_expert(env_id)
     if policy.env_id != env_id:
         raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
     require_target(output, env_id)
@@ -216,7 +218,7 @@ def expert(
     )
 
 
-for command in (evaluate, sweep, merge, benchmark):
+for command in (evaluate, sweep, merge, export, benchmark):
     app.command(command)
 
 

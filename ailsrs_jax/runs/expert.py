@@ -9,7 +9,7 @@ import numpy as np
 
 from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.files import require_writable
-from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.data.policies import SavedPolicy, require_format
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
@@ -84,6 +84,7 @@ def search_expert(
     task = open_env(env, physics)
     require_seed(seed)
     if output is not None:
+        require_format(output)
         require_writable(output)
     best: SavedPolicy | None = None
     best_score = -np.inf

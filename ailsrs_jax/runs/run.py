@@ -9,16 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.data.demonstrations import Demonstrations, validated
+from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.policies import SavedPolicy
-from ailsrs_jax.data.sources import open_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm, make_trainer
 from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
-from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import (
     anywhere,
     choose_batch_size,
@@ -31,14 +28,12 @@ from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
-from ailsrs_jax.trainers.rollout import action_range
 from ailsrs_jax.trainers.settings import override
 from ailsrs_jax.trainers.trainer import Trainer
 
 CHECKPOINT_EVERY = 10  # iterations
-NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
-PAPER_EXPERT = "expert:paper"
 
 Watch = Callable[[IterationReport], None]
 
@@ -177,10 +172,10 @@ def make_plan(
     settings = override(preset_settings(env_id, preset, algorithm), assignments)
     source = sha256 = None
     if chosen.imitates:
-        demonstrations, source = _find_demonstrations(
+        demonstrations, source = find_demonstrations(
             demonstrations, num_trajectories, env_id, engine
         )
-        _require_fit(demonstrations, env_id, task)
+        require_fit(demonstrations, env_id, task)
         if subsample != 1:
             demonstrations = demonstrations.subsample(subsample)
         sha256 = content_hash(demonstrations)
@@ -204,28 +199,6 @@ def make_plan(
     if rollout_batch_size is None:
         rollout_batch_size = choose_batch_size(task)
     return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
-
-
-def _find_demonstrations(
-    demonstrations: str | Path | Demonstrations | None,
-    num_trajectories: int | None,
-    env_id: str,
-    engine: str,
-) -> tuple[Demonstrations, str]:
-    """The first ``num_trajectories`` of what is asked for, and what to call it."""
-    if demonstrations is None or demonstrations == PAPER_EXPERT:
-        source = demonstrations or "of the expert that ships with the package"
-        of_paper = demonstrations == PAPER_EXPERT
-        num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
-        demonstrations = expert_demonstrations(env_id, num_trajectories, engine, of_paper=of_paper)
-    elif isinstance(demonstrations, Demonstrations):
-        source = "handed in"
-        demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
-    else:
-        demonstrations, source = open_source(demonstrations, env_id, num_trajectories)
-    if num_trajectories is not None:
-        demonstrations = demonstrations.first(num_trajectories)
-    return demonstrations, source
 
 
 def execute(
@@ -301,28 +274,3 @@ def execute(
         ),
         expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
     )
-
-
-def _require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
-    if demonstrations.env_id != env_id:
-        raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
-    n, p = env_sizes(env)
-    actions = demonstrations.actions
-    observed = demonstrations.observations.shape[-1]
-    acted = p if actions is None else actions.shape[-1]
-    if (observed, acted) != (n, p):
-        raise UserError(
-            f"the demonstrations have {observed} observations and "
-            f"{'no' if actions is None else acted} actions: {env_id} has {n} and {p}"
-        )
-    if actions is None:
-        return
-    low, high = map(np.asarray, action_range(env))
-    alive = np.asarray(demonstrations.alive)
-    slack = 1e-5 * (high - low)  # for rounding
-    for index, values in enumerate(np.asarray(actions)[alive].T):
-        if values.min() < low[index] - slack[index] or values.max() > high[index] + slack[index]:
-            raise UserError(
-                f"action {index} of the demonstrations goes from {values.min():g} to "
-                f"{values.max():g}: {env_id} takes {low[index]:g} to {high[index]:g}"
-            )

@@ -19,9 +19,10 @@ from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
-from ailsrs_jax.runs.run import NUM_TRAJECTORIES, Result
+from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep_cells import Cell
 from ailsrs_jax.runs.tracking import IterationReport, read_rows
+from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 
 RESULT_COLUMNS = (
     *("cell", "label", "algorithm", "env_id", "preset", "settings", "num_trajectories", "seed"),

@@ -39,6 +39,15 @@ def train_expert(
 ) -> SavedPolicy:
     """Train a policy on the environment's reward.
 
+    >>> import ailsrs_jax as ail
+    >>> from brax.envs import get_environment
+    >>> few = {"num_iterations": 2, "num_directions": 2, "num_top_directions": 1}
+    >>> expert = ail.train_expert(
+    ...     get_environment("fast"), algorithm="ars", episode_length=20, output="expert.npz", **few
+    ... )
+    >>> expert.env_id
+    'Fast'
+
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.

@@ -35,7 +35,14 @@ def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
 
 
 def jax_policy(saved: SavedPolicy) -> Policy:
-    """The policy as it is simulated, in float32."""
+    """The policy as a JAX function, ``(n,)`` to ``(p,)``, in float32: it is what is simulated.
+
+    >>> import ailsrs_jax as ail
+    >>> import jax
+    >>> policy = ail.jax_policy(ail.load_expert("hopper"))
+    >>> jax.jit(jax.vmap(policy))(jax.numpy.zeros((5, 11))).shape
+    (5, 3)
+    """
     fields = {field.name: getattr(saved, field.name) for field in dataclasses.fields(saved)}
     del fields["env_id"]
     policy = (LinearPolicy if isinstance(saved, SavedLinearPolicy) else MlpPolicy)(**fields)

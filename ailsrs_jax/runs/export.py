@@ -53,19 +53,31 @@ def export(
         UserError: the source cannot be read or holds several policies, a package is not installed,
             the policy cannot be evaluated, or the output cannot be written.
     """
-    output, provenance = Path(output), None
-    if isinstance(source, SavedPolicy):
-        policy = source
-    else:
+    output, path = Path(output), None
+    if not isinstance(source, SavedPolicy):
         path = _only_policy(Path(source))
-        policy = load_policy(path)
-        provenance = read_provenance(policy, path)
-        if env is None:
-            require_harmless(policy.env_id, str(path))
+        source = load_policy(path)
     require_license(license_id)
     if output.suffix and not output.is_dir():
-        policy.save(output)
-        return
+        source.save(output)
+    else:
+        _publish(source, path, output, num_episodes, physics, seed, env, license_id)
+
+
+def _publish(
+    policy: SavedPolicy,
+    path: Path | None,
+    output: Path,
+    num_episodes: int,
+    physics: str,
+    seed: int,
+    env: Env | None,
+    license_id: str,
+) -> None:
+    """Write the directory ``output`` for ``policy``, which is from ``path`` or from nowhere."""
+    provenance = None if path is None else read_provenance(policy, path)
+    if path is not None and env is None:
+        require_harmless(policy.env_id, str(path))
     _require_new(output)
     files = [output / f"policy{suffix}" for suffix in FORMATS]
     for file in files:

@@ -96,7 +96,8 @@ def train(
     """Train a policy to imitate demonstrations, or on the environment's reward.
 
     >>> import ailsrs_jax as ail
-    >>> run = ail.train("swimmer", num_trajectories=2, seeds=[0, 1], num_iterations=2)
+    >>> short = {"num_iterations": 2, "num_directions": 8, "episode_length": 100}
+    >>> run = ail.train("swimmer", num_trajectories=2, seeds=[0, 1], **short)
     >>> run.policies[1](8 * [0.0]).shape
     (2,)
 

@@ -12,13 +12,10 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.policies import expert_path, load_policy
-from ailsrs_jax.runs.evaluation import evaluate
+from ailsrs_jax.runs.config import RunConfig
 from tests.point_mass import PointMass
 from tests.runs.test_own_env import spring
 from tests.test_cli import ailsrs
-
-CLONING = ["--algorithm", "bc", "--num-trajectories", 2, "--seeds", 3, "--output", "run"]
-CLONING += ["--set", "num_distance_samples=50", "validation_fraction=0.5"]
 
 
 def header(card: str) -> dict:
@@ -35,26 +32,64 @@ def run_blocks(card: str) -> dict:
     return names
 
 
-def test_a_run_is_published_and_made_again(in_tmp_path: Path, monkeypatch, capsys) -> None:
+def make_run(policy: ail.SavedPolicy, **changes: object) -> dict:
+    """A directory as a run leaves it: the configuration, with changes, and one of its policies."""
+    settings = ail.preset_settings("Swimmer-v5", "tuned")
+    config = RunConfig(
+        env_id="Swimmer-v5",
+        physics="mjx",
+        seeds=(0, 3),
+        algorithm="ailsrs",
+        preset="tuned",
+        settings=dataclasses.replace(settings, noise_std=0.05),
+        num_trajectories=4,
+        demonstrations="/home/somebody/my demos.npz",
+        demonstrations_sha256="0" * 64,
+        subsample=20,
+    ).as_json()
+    config |= changes
+    policy.save("run/seed_3/policy.npz")
+    Path("run/config.json").write_text(json.dumps(config))
+    return config
+
+
+def linear_policy() -> ail.SavedPolicy:
+    rng = np.random.default_rng(0)
+    return ail.SavedLinearPolicy(
+        weights=rng.normal(size=(2, 8)),
+        mean=rng.normal(size=8),
+        std=np.exp(rng.normal(size=8)),
+        action_low=-np.ones(2),
+        action_high=np.ones(2),
+        env_id="Swimmer-v5",
+    )
+
+
+def exported(changes: dict[str, object]) -> str:
+    """The card of a run with such a configuration."""
+    make_run(linear_policy(), **changes)
+    ail.export("run", "out", num_episodes=1)
+    return Path("out/README.md").read_text()
+
+
+def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
     pytest.importorskip("onnxruntime")
-    assert ailsrs(monkeypatch, "train", "swimmer", *CLONING) == 0
+    policy = linear_policy()
+    config = make_run(policy)
     arguments = ["run", "--output", "out", "--episodes", 2, "--license", "mit"]
     assert ailsrs(monkeypatch, "export", *arguments) == 0
-    assert capsys.readouterr().out.endswith("run is now in out\n")
+    assert capsys.readouterr().out == "run is now in out\n"
     names = ["README.md", "policy.npz", "policy.onnx", "policy.safetensors"]
     assert sorted(path.name for path in Path("out").iterdir()) == names
 
     card = Path("out/README.md").read_text()
-    policy = load_policy("out/policy.safetensors")
-    evaluation = evaluate(policy, 2)
-    config = json.loads(Path("run/config.json").read_text())
+    evaluation = ail.evaluate(policy, 2)
     for said in (
-        "# BC on Swimmer-v5",
+        "# AILSRS on Swimmer-v5",
         f"| return | {evaluation} over 2 episodes (in Gymnasium, seed 0) |",
-        "| algorithm | BC, preset tuned |",
+        "| algorithm | AILSRS, preset tuned |",
         "| seed | 3 |",
-        "| demonstrations | 2 of the expert that ships with the package; SHA-256 "
-        f"{config['demonstrations_sha256']} |",
+        f"| demonstrations | 4 of my demos.npz, every 20th step; SHA-256 {'0' * 64} |",
         "| policy | linear, 8 observations, 2 actions |",
         f"jax {config['versions']['jax']}",
     ):
@@ -67,59 +102,47 @@ def test_a_run_is_published_and_made_again(in_tmp_path: Path, monkeypatch, capsy
     assert result["dataset"] == {"type": "Swimmer-v5", "name": "Swimmer-v5"}
     assert result["metrics"][0]["value"] == f"{evaluation.mean:.2f} +/- {evaluation.std:.2f}"
 
-    # What the card tells to do works, and is the same policy.
-    monkeypatch.chdir("out")
-    left = run_blocks(card)
-    expected = load_policy("policy.npz")(np.zeros(8))
-    np.testing.assert_allclose(left["action"], expected, rtol=1e-12)
-    np.testing.assert_allclose(left["actions"], expected[None], atol=1e-5)
-    monkeypatch.chdir("..")
-
-    # The command on the card makes the same run.
-    (command,) = re.findall(r"```sh\n(.*)\n```", card)
-    program, *again = shlex.split(command)
-    assert program == "ailsrs"
-    Path("run").rename("before")
-    assert ailsrs(monkeypatch, *again, "--output", "run") == 0
-    assert json.loads(Path("run/config.json").read_text()) == config
-    for name, before in np.load("before/seed_3/policy.npz").items():
-        np.testing.assert_array_equal(np.load("run/seed_3/policy.npz")[name], before)
-
     # An export is evaluated as a run is, and goes nowhere where something is.
-    capsys.readouterr()
     assert ailsrs(monkeypatch, "evaluate", "out", "--episodes", 2, "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["return_mean"] == evaluation.mean
     assert ailsrs(monkeypatch, "export", "run", "--output", "out") == 2
     assert "out is not empty: choose another --output" in capsys.readouterr().err
 
-
-def config(**changes: object) -> dict:
-    return {
-        "env_id": "Swimmer-v5",
-        "physics": "mjx",
-        "seeds": [0, 3],
-        "algorithm": "ailsrs",
-        "preset": "tuned",
-        "settings": {"num_iterations": 20, "noise_std": 0.05, "standardize_with": "expert"},
-        "num_trajectories": 4,
-        "demonstrations": "/home/somebody/my demos.npz",
-        "demonstrations_sha256": "0" * 64,
-        "subsample": 20,
-        "versions": {"jax": "0.9.2"},
-    } | changes
+    # What the card tells to do works, and is the same policy.
+    monkeypatch.chdir("out")
+    left = run_blocks(card)
+    expected = policy(np.zeros(8))
+    np.testing.assert_array_equal(left["action"], expected)
+    np.testing.assert_allclose(left["actions"], expected[None], atol=1e-5)
 
 
-def exported(changes: dict[str, object], env: object = None, env_id: str = "Swimmer-v5") -> str:
-    """The card of a run with such a configuration."""
-    Path("run/seed_3").mkdir(parents=True, exist_ok=True)
-    Path("run/config.json").write_text(json.dumps(config(**changes)))
-    if env is None:
-        load_policy(expert_path("Swimmer-v5")).save("run/seed_3/policy.npz")
-    else:
-        spring().save("run/seed_3/policy.npz")
-    ail.export("run/seed_3/policy.npz", "out", num_episodes=1, env=env)
-    return Path("out/README.md").read_text()
+def test_the_hub_reads_the_card(in_tmp_path: Path) -> None:
+    hub = pytest.importorskip("huggingface_hub")
+    make_run(linear_policy())
+    ail.export("run", "out", num_episodes=1, license_id="apache-2.0")
+    data = hub.ModelCard.load("out/README.md", ignore_metadata_errors=False).data
+    assert (data.license, data.pipeline_tag) == ("apache-2.0", "reinforcement-learning")
+    (result,) = data.eval_results
+    assert (result.task_type, result.metric_type) == ("reinforcement-learning", "mean_reward")
+    assert result.dataset_name == "Swimmer-v5"
+
+
+@pytest.mark.slow
+def test_the_command_makes_the_run_again(in_tmp_path: Path, monkeypatch) -> None:
+    settings = ["episode_length=20", "num_distance_samples=50"]
+    arguments = ["--algorithm", "bc", "--num-trajectories", 2, "--seeds", 3, "--iterations", 1]
+    command = ["train", "swimmer", *arguments, "--output", "run", "--set", *settings]
+    assert ailsrs(monkeypatch, *command) == 0
+    ail.export("run", "out", num_episodes=1)
+    (command,) = re.findall(r"```sh\n(.*)\n```", Path("out/README.md").read_text())
+    program, *again = shlex.split(command)
+    assert program == "ailsrs"
+    assert ailsrs(monkeypatch, *again, "--output", "again") == 0
+    assert Path("again/config.json").read_bytes() == Path("run/config.json").read_bytes()
+    assert (
+        Path("again/seed_3/policy.npz").read_bytes() == Path("run/seed_3/policy.npz").read_bytes()
+    )
 
 
 COMMANDS = {
@@ -132,7 +155,7 @@ COMMANDS = {
     "--algorithm ars --seeds 0 3 --preset paper": {
         "algorithm": "ars",
         "preset": "paper",
-        "settings": {},
+        "settings": vars(ail.preset_settings("Swimmer-v5", "paper", "ars")),
         "num_trajectories": None,
         "demonstrations": None,
         "demonstrations_sha256": None,
@@ -157,7 +180,9 @@ def test_what_was_handed_in_from_python_has_no_command(in_tmp_path: Path) -> Non
 
 
 def test_an_environment_of_ones_own(in_tmp_path: Path) -> None:
-    card = exported({"env_id": "PointMass", "physics": "none"}, env=PointMass())
+    make_run(spring(), env_id="PointMass", physics="none")
+    ail.export("run", "out", num_episodes=1, env=PointMass())
+    card = Path("out/README.md").read_text()
     assert re.search(r"\| return \| -\d+ ± 0 over 1 episodes \(in an environment handed in", card)
     assert "were handed in from Python" in card
 

@@ -359,6 +359,25 @@ def read_config(path: Path) -> object:
     return config().require_same(configs.read_config(path), path)
 
 
+def make_run(path: Path, rng: Rng) -> None:
+    """A run's configuration, for the model card of one of its policies."""
+    (path / "seed_5").mkdir(parents=True)
+    (path / "config.json").write_bytes(mutated_json(config().as_json(), rng))
+
+
+def read_run(path: Path) -> object:
+    from ailsrs_jax.data.policies import expert_path, load_policy
+    from ailsrs_jax.runs.evaluation import Evaluation
+    from ailsrs_jax.runs.model_card import model_card, read_provenance
+
+    policy = load_policy(expert_path("Swimmer-v5"))
+    provenance = read_provenance(policy, path / "seed_5" / "policy.npz")
+    card = model_card(policy, Evaluation(np.ones(2), np.ones(2)), "", provenance, "mit")
+    assert len(card) < 20_000
+    assert all(line.isprintable() for line in card.split("\n"))
+    return card
+
+
 def make_csv(rows: list[list[Any]], path: Path, rng: Rng) -> None:
     rows = [list(row) for row in rows]
     for _ in range(rng.choice([0, 1, 1, 3])):
@@ -669,6 +688,7 @@ READERS = {
     "policy": Reader(30, lambda path, rng: make_npz(policy_arrays(rng), path, rng), read_policy),
     "safetensors": Reader(20, make_safetensors, read_safetensors_policy),
     "config": Reader(15, copied(lambda _: config().as_json()), read_config),
+    "run": Reader(5, make_run, read_run),
     "metrics": Reader(10, make_metrics, read_metrics),
     "results": Reader(5, make_results, read_sweep_results),
     "sweep spec": Reader(4, make_spec, read_sweep_spec),

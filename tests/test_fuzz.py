@@ -14,6 +14,7 @@ EXAMPLES = {
     "policy": 150,
     "safetensors": 100,
     "config": 80,
+    "run": 60,
     "metrics": 60,
     "results": 60,
     "sweep spec": 30,

@@ -2,12 +2,13 @@
 
 import importlib
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
     from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
+    from ailsrs_jax.data.episodes import Recording as Recording
     from ailsrs_jax.data.imitation_datasets import load_imitation as load_imitation
     from ailsrs_jax.data.minari_datasets import load_minari as load_minari
     from ailsrs_jax.data.minari_datasets import save_minari as save_minari
@@ -21,12 +22,21 @@ if TYPE_CHECKING:
     from ailsrs_jax.html_report import report as report
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.demonstrate import record as record
+    from ailsrs_jax.runs.evaluation import Evaluation as Evaluation
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
+    from ailsrs_jax.runs.evolution import EvolutionSettings as EvolutionSettings
     from ailsrs_jax.runs.expert import train_expert as train_expert
+    from ailsrs_jax.runs.export import export as export
+    from ailsrs_jax.runs.policies import jax_policy as jax_policy
+    from ailsrs_jax.runs.policies import load_expert as load_expert
     from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
     from ailsrs_jax.runs.presets import preset_settings as preset_settings
+    from ailsrs_jax.runs.run import Result as Result
     from ailsrs_jax.runs.run import train as train
+    from ailsrs_jax.runs.sweep import merge_sweeps as merge_sweeps
     from ailsrs_jax.runs.sweep import sweep as sweep
+    from ailsrs_jax.runs.tracking import IterationReport as IterationReport
+    from ailsrs_jax.sweep_report import report_sweep as report_sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
@@ -62,10 +72,15 @@ _HOMES = {
     "BehaviorCloning": "trainers.behavior_cloning",
     "BehaviorCloningSettings": "trainers.behavior_cloning",
     "Demonstrations": "data.demonstrations",
+    "Evaluation": "runs.evaluation",
+    "EvolutionSettings": "runs.evolution",
     "Gail": "trainers.gail",
     "GailSettings": "trainers.gail",
+    "IterationReport": "runs.tracking",
     "MujocoTask": "envs.mujoco_task",
     "PpoSettings": "runs.ppo",
+    "Recording": "data.episodes",
+    "Result": "runs.run",
     "SavedLinearPolicy": "data.policies",
     "SavedMlpPolicy": "data.policies",
     "SavedPolicy": "data.policies",
@@ -74,7 +89,10 @@ _HOMES = {
     "UserError": "errors",
     "demonstrate": "runs.demonstrate",
     "evaluate": "runs.evaluation",
+    "export": "runs.export",
+    "jax_policy": "runs.policies",
     "load_demonstrations": "data.demonstrations",
+    "load_expert": "runs.policies",
     "load_imitation": "data.imitation_datasets",
     "load_minari": "data.minari_datasets",
     "load_policy": "data.policies",
@@ -84,10 +102,12 @@ _HOMES = {
     "make_env": "envs.registry",
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
+    "merge_sweeps": "runs.sweep",
     "preset_settings": "runs.presets",
     "record": "runs.demonstrate",
     "render": "video",
     "report": "html_report",
+    "report_sweep": "sweep_report",
     "save_demonstrations": "data.demonstrations",
     "save_minari": "data.minari_datasets",
     "sweep": "runs.sweep",
@@ -98,7 +118,13 @@ _HOMES = {
 __all__ = sorted(_HOMES)
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'ailsrs_jax' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"ailsrs_jax.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # else every name would be known to a type checker
+
+    def __getattr__(name):
+        if name not in _HOMES:
+            raise AttributeError(f"module 'ailsrs_jax' has no attribute '{name}'")
+        return getattr(importlib.import_module(f"ailsrs_jax.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -33,12 +33,13 @@ from ailsrs_jax.arguments import (
     assignments,
 )
 from ailsrs_jax.errors import UserError, did_you_mean
+from ailsrs_jax.expert_cli import demonstrate, expert
+from ailsrs_jax.export_cli import export
 from ailsrs_jax.measure_cli import benchmark, evaluate
 from ailsrs_jax.see_cli import render, report
 from ailsrs_jax.sweep_cli import merge, sweep
 from ailsrs_jax.terminal import (
     as_command,
-    evaluation_fields,
     make_console,
     print_json,
     this_command,
@@ -179,111 +180,11 @@ def train(
         print_json(results_fields(result, measured, output))
 
 
-def demonstrate(
-    env: Positional[EnvName],
-    output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
-    num_trajectories: int = 40,
-    expert: OptionalPath = None,
-    physics: PhysicsName = "auto",
-    seed: int = 0,
-    action_noise: float = 0.0,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
-    """Roll out an expert and write demonstrations.
-
-    Example: ailsrs demonstrate hopper --num-trajectories 40 --output hopper.npz
-
-    Args:
-        env: The task.
-        output: The .npz file to write, or minari:DATASET_ID for a new dataset of Minari's.
-        num_trajectories: Episodes to roll out, each of at most 1000 steps.
-        expert: The expert's policy.npz; without it, the one that ships with the package.
-        physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Of the initial states, from 0.
-        action_noise: Standard deviation of Gaussian noise added to the expert's actions, in their
-            units.
-    """
-    from ailsrs_jax.data.policies import expert_path, load_policy
-    from ailsrs_jax.data.sources import require_target, save_recording
-    from ailsrs_jax.envs.registry import resolve_env_id
-    from ailsrs_jax.runs import demonstrate
-
-    env_id = resolve_env_id(env)
-    policy = load_policy(expert or expert_path(env_id))
-    if policy.env_id != env_id:
-        raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
-    require_target(output, env_id)
-    recording = demonstrate.record(
-        policy, num_trajectories, physics=physics, seed=seed, action_noise=action_noise
-    )
-    save_recording(recording, output)
-    returns = recording.demonstrations.returns
-    make_console(quiet=quiet, as_json=as_json).print(
-        f"{num_trajectories} trajectories of {env_id}, return {returns.mean():.0f} ± "
-        f"{returns.std():.0f}, in {escape(output)}",
-        soft_wrap=True,
-    )
-    if as_json:
-        print_json(
-            {
-                "output": output,
-                "env_id": env_id,
-                "num_trajectories": num_trajectories,
-                "return_mean": float(returns.mean()),
-                "return_std": float(returns.std()),
-                "length_mean": float(recording.demonstrations.lengths.mean()),
-            }
-        )
-
-
-def expert(
-    env: Positional[EnvName],
-    output: Path,
-    algorithm: Annotated[str, arg(metavar="ppo|es|ars")] = "ppo",
-    settings: Settings = (),
-    physics: PhysicsName = "auto",
-    seed: int = 0,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
-    """Train an expert on the environment's reward.
-
-    Example: ailsrs expert hopper --output hopper_expert.npz
-
-    Args:
-        env: The task.
-        output: The policy file to write: the best policy met; the last one of es.
-        algorithm: Brax's PPO or evolution strategy of a neural policy, or augmented random search
-            of a linear one.
-        settings: Settings to change, as in --set num_env_steps=1000000; a wrong name lists them
-            all.
-        physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Random seed, from 0.
-    """
-    from ailsrs_jax.progress import RunProgress
-    from ailsrs_jax.runs.evaluation import evaluate
-    from ailsrs_jax.runs.expert import search_expert
-
-    changes = assignments(settings)
-    console = make_console(quiet=quiet, as_json=as_json)
-    with RunProgress(console) as progress:
-        policy = search_expert(env, seed, physics, changes, output, progress, algorithm)
-    if quiet and not as_json:
-        return
-    evaluation = evaluate(policy, physics=physics)
-    console.print(
-        f"return {evaluation} over 100 episodes, in {escape(str(output))}", soft_wrap=True
-    )
-    if as_json:
-        print_json({"output": str(output), "env_id": policy.env_id} | evaluation_fields(evaluation))
-
-
-COMMANDS = {
-    command.__name__: as_command(command)
-    for command in (train, demonstrate, expert, evaluate, render, report, sweep, merge, benchmark)
-}
-
+_FUNCTIONS = (
+    *(train, demonstrate, expert, evaluate, export),
+    *(render, report, sweep, merge, benchmark),
+)
+COMMANDS = {function.__name__: as_command(function) for function in _FUNCTIONS}
 
 app = tyro.extras.SubcommandApp()
 for each in COMMANDS.values():

@@ -30,7 +30,7 @@ def evaluate(
     Example: ailsrs evaluate runs/hopper/seed_0/policy.npz --episodes 20 --physics mujoco --json
 
     Args:
-        policy: A policy.npz, or a run directory.
+        policy: A policy.npz or .safetensors, or the directory of a run or an export.
         episodes: Episodes of each policy, at most 1000 steps long.
         physics: gymnasium is the real environment with the policy in NumPy.
         seed: Of the initial states, from 0.

@@ -29,7 +29,7 @@ steps until an evaluation first reached 0.9 of the expert's return, the median o
 that never did counted as infinite; in brackets how many did."""
 
 
-def report_sweep(directory: Path) -> None:
+def report_sweep(directory: str | Path) -> None:
     """Write ``table.md``, ``timings.md`` and ``figures/`` from the tables in ``directory``.
 
     The first is a function of ``results.csv`` alone; what depends on the clock is in the second.
@@ -38,6 +38,7 @@ def report_sweep(directory: Path) -> None:
     Raises:
         UserError: a table cannot be read.
     """
+    directory = Path(directory)
     results = read_results(directory)
     write_text(directory / "table.md", results_table(results))
     write_text(directory / "timings.md", timings_table(results))

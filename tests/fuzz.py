@@ -276,6 +276,44 @@ def policy_arrays(rng: Rng) -> dict[str, np.ndarray]:
     } | ({"weights": np.ones((1, 2))} if rng.random() < 0.5 else layers)
 
 
+def make_safetensors(path: Path, rng: Rng) -> None:
+    """Arrays and text that its library wrote, or a header that was made up, damaged."""
+    from safetensors.numpy import save
+
+    arrays = policy_arrays(rng)
+    text = {"env_id": str(arrays.pop("env_id"))}
+    for _ in range(rng.choice([0, 0, 1, 2])):
+        name = rng.choice(sorted(arrays))
+        match rng.randrange(4):
+            case 0:
+                del arrays[name]
+            case 1:
+                text[name] = str(odd_value(rng, 9))[:1000]
+            case _:
+                arrays[name] = odd_array(arrays[name], rng)
+    try:
+        content = save(arrays, text)
+    except Exception:  # it has no types for some of NumPy's, nor for half of a character
+        content = save({"mean": np.zeros(2)}, {"env_id": "Swimmer-v5"})
+    match rng.randrange(3):
+        case 0:
+            content = mutate_bytes(content, rng)
+        case 1:
+            length = int.from_bytes(content[:8], "little")
+            header = mutated_json(json.loads(content[8 : 8 + length]), rng)
+            told = rng.choice([len(header)] * 8 + [0, 2**40, 2**64 - 1])
+            content = told.to_bytes(8, "little") + header + content[8 + length :]
+    path.write_bytes(content)
+
+
+def read_safetensors_policy(path: Path) -> object:
+    renamed = path.rename(path.with_suffix(".safetensors"))
+    try:
+        return read_policy(renamed)
+    finally:
+        renamed.unlink()
+
+
 def read_policy(path: Path) -> object:
     from ailsrs_jax.data.policies import load_policy
     from ailsrs_jax.envs.registry import require_harmless
@@ -319,6 +357,25 @@ def read_config(path: Path) -> object:
     from ailsrs_jax.runs import config as configs
 
     return config().require_same(configs.read_config(path), path)
+
+
+def make_card(path: Path, rng: Rng) -> None:
+    """A run's configuration, for the model card of one of its policies."""
+    (path / "seed_5").mkdir(parents=True)
+    (path / "config.json").write_bytes(mutated_json(config().as_json(), rng))
+
+
+def read_card(path: Path) -> object:
+    from ailsrs_jax.data.policies import expert_path, load_policy
+    from ailsrs_jax.runs.evaluation import Evaluation
+    from ailsrs_jax.runs.model_card import model_card, read_provenance
+
+    policy = load_policy(expert_path("Swimmer-v5"))
+    provenance = read_provenance(policy, path / "seed_5" / "policy.npz")
+    card = model_card(policy, Evaluation(np.ones(2), np.ones(2)), "", provenance, "mit")
+    assert len(card) < 20_000
+    assert all(line.isprintable() for line in card.split("\n"))
+    return card
 
 
 def make_csv(rows: list[list[Any]], path: Path, rng: Rng) -> None:
@@ -647,7 +704,9 @@ READERS = {
         30, lambda path, rng: make_npz(demonstration_arrays(), path, rng), read_demonstrations
     ),
     "policy": Reader(30, lambda path, rng: make_npz(policy_arrays(rng), path, rng), read_policy),
+    "safetensors": Reader(20, make_safetensors, read_safetensors_policy),
     "config": Reader(15, copied(lambda _: config().as_json()), read_config),
+    "model card": Reader(5, make_card, read_card),
     "metrics": Reader(10, make_metrics, read_metrics),
     "run": Reader(5, make_run, read_saved_run),
     "results": Reader(5, make_results, read_sweep_results),

@@ -148,6 +148,9 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "evaluate missing.npz",
         "evaluate .",
         "evaluate file",
+        "export missing.npz --output policy.onnx",
+        "export file --output policy.onnx",
+        "export empty --output policy.onnx",
         "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
         "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
         "demonstrate hoper --output demonstrations.npz",
@@ -156,6 +159,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "demonstrate hopper --output file/demonstrations.npz",
         "expert hoper --output expert.npz",
         "expert hopper --output file/expert.npz",
+        "expert hopper --output expert.pt",
         "expert hopper --set num_top_directions=1000 --output expert.npz",
     ],
 )
@@ -323,15 +327,6 @@ def test_help_starts_no_backend_and_is_quick_to_import() -> None:
         env=os.environ | {"COLUMNS": "100"},
     ).stdout
     assert "ailsrs train hopper --num-trajectories 10" in help_text
-
-
-def test_public_names_resolve() -> None:
-    import ailsrs_jax
-
-    for name in ailsrs_jax.__all__:
-        assert getattr(ailsrs_jax, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = ailsrs_jax.nothing
 
 
 def test_a_curve_needs_metrics(tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ from tests import fuzz
 EXAMPLES = {
     "demonstrations": 150,
     "policy": 150,
+    "safetensors": 100,
     "config": 80,
+    "model card": 60,
     "metrics": 60,
     "run": 60,
     "results": 60,
@@ -36,8 +38,8 @@ def test_whatever_the_bytes(
 ) -> None:
     if name == "imitation":
         pytest.importorskip("pyarrow")
-    elif name == "minari":
-        pytest.importorskip("minari")
+    elif name in ("minari", "safetensors"):
+        pytest.importorskip(name)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)

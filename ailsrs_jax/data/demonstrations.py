@@ -101,7 +101,7 @@ class Demonstrations(struct.PyTreeNode):
 
 
 def save_demonstrations(demonstrations: Demonstrations, path: str | Path) -> None:
-    """Write a ``.npz`` file, whole or not at all."""
+    """Write a ``.npz`` file, whole or not at all; :func:`load_demonstrations` reads it."""
     fields: dict[str, Any] = demonstrations.fields()
     write_atomically(path, lambda file: np.savez_compressed(file, **fields))
 

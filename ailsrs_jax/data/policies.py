@@ -1,19 +1,26 @@
 """Policies on disk, and as NumPy functions that drive any Gymnasium environment."""
 
 import dataclasses
+import importlib.util
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ailsrs_jax.data.files import read_npz, require_name, write_atomically
+from ailsrs_jax.data.onnx_files import encode_onnx
+from ailsrs_jax.data.safetensors_files import encode_safetensors, read_safetensors
 from ailsrs_jax.errors import UserError
 
 # The fields that any policy's file has, beside env_id; then those of a neural one.
 COMMON_ARRAYS = ("mean", "std", "action_low", "action_high")
 MAX_LAYERS = 16
+# What the name of a policy's file ends with, and the package that it takes.
+FORMATS = {".npz": "numpy", ".safetensors": "safetensors", ".onnx": "onnx"}
 MLP_FIELDS = (
     *(f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(MAX_LAYERS)),
     "action_std",
@@ -22,7 +29,11 @@ MLP_FIELDS = (
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedPolicy(ABC):
-    """``policy.npz``: what linear and neural policies have in common."""
+    """A policy in NumPy, linear or neural: ``policy.npz`` in memory.
+
+    action = clip(f((observation − mean) / std), action_low, action_high), with layers
+    ``h ← tanh(W h + b)`` in f, the last of them without tanh.
+    """
 
     mean: np.ndarray  # (n,)
     std: np.ndarray  # (n,)
@@ -31,17 +42,71 @@ class SavedPolicy(ABC):
     env_id: str
 
     def __call__(
-        self, observation: np.ndarray, rng: np.random.Generator | None = None
+        self, observation: npt.ArrayLike, rng: np.random.Generator | None = None
     ) -> np.ndarray:
-        """The action ``(p,)`` for one observation ``(n,)``; with ``rng``, drawn at random.
+        """The action ``(p,)`` for an observation ``(n,)``, or ``(B, p)`` for a batch ``(B, n)``.
+
+        With ``rng``, drawn at random.
+
+        >>> import ailsrs_jax as ail
+        >>> import gymnasium
+        >>> policy = ail.load_expert("swimmer")
+        >>> env = gymnasium.make(policy.env_id)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, *_ = env.step(policy(observation))
 
         Raises:
-            UserError: the policy is deterministic, and an action is to be drawn.
+            UserError: the observation has another size; or the policy is deterministic, and an
+                action is to be drawn.
         """
-        action = self._unclipped((observation - self.mean) / self.std)
-        if rng is not None:
-            action = action + self.noise_std * rng.standard_normal(len(self.noise_std))
+        return self._act(observation, None if rng is None else rng.standard_normal)
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,  # noqa: ARG002 (the interface's)
+        deterministic: bool = True,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
+        """Actions as Stable-Baselines3's ``evaluate_policy`` asks for them, and ``state`` as it is.
+
+        Those of a neural policy are drawn at random if not ``deterministic``, with NumPy's global
+        generator, the one that Stable-Baselines3's ``set_random_seed`` seeds; a policy without
+        noise has only one action.
+
+        >>> import ailsrs_jax as ail
+        >>> actions, state = ail.load_expert("swimmer").predict([[0.0] * 8] * 3)
+        >>> actions.shape
+        (3, 2)
+
+        Raises:
+            UserError: the observation has another size.
+        """
+        draws = self.is_stochastic and not deterministic
+        draw = np.random.standard_normal if draws else None
+        return self._act(observation, draw), state
+
+    def _act(
+        self, observation: npt.ArrayLike, draw: Callable[[tuple[int, ...]], Any] | None
+    ) -> np.ndarray:
+        observation = np.asarray(observation)
+        if observation.shape[-1:] != self.mean.shape or observation.ndim > 2:
+            raise UserError(
+                f"the observation is {observation.shape}: the policy takes {self.mean.shape}, or a "
+                "batch of them"
+            )
+        action = (observation - self.mean) / self.std
+        for index, (matrix, bias) in enumerate(self.layers):
+            # Transposed, which one observation does not notice and a batch needs.
+            action = (matrix @ (np.tanh(action) if index else action).T).T + bias
+        if draw is not None:
+            action = action + self.noise_std * draw(action.shape)
         return np.clip(action, self.action_low, self.action_high)
+
+    @property
+    @abstractmethod
+    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Weights ``(out, in)`` and biases ``(out,)`` of each layer; a linear policy has one."""
 
     @property
     def is_stochastic(self) -> bool:
@@ -62,10 +127,6 @@ class SavedPolicy(ABC):
     def _action_std(self) -> np.ndarray:
         return np.zeros(len(self.action_low))
 
-    @abstractmethod
-    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
-        """The action ``(p,)`` before it is clipped, for a standardised observation ``(n,)``."""
-
     def require_shape(self, action_size: int, observation_size: int) -> None:
         """Raise UserError unless this is a policy for so many actions and observations."""
         sizes = len(self.action_low), len(self.mean)
@@ -76,9 +137,31 @@ class SavedPolicy(ABC):
             )
 
     def save(self, path: str | Path) -> None:
-        """Write a ``.npz`` file, whole or not at all."""
-        fields = self._fields()
-        write_atomically(path, lambda file: np.savez(file, **fields))
+        """Write a ``.npz``, ``.safetensors`` or ``.onnx`` file, whole or not at all.
+
+        The first two hold everything, and :func:`load_policy` reads them. ONNX is for other
+        programs: its input is ``observation``, float32 ``(batch, n)``, its output ``action``,
+        float32 ``(batch, p)``, clipped, and the mean where actions can be drawn.
+
+        >>> import ailsrs_jax as ail
+        >>> ail.load_expert("swimmer").save("policy.onnx")
+
+        Raises:
+            UserError: the name ends otherwise, the format's package is not installed, or the place
+                cannot be written to.
+        """
+        path, fields = Path(path), self._fields()
+        require_format(path)
+        if path.suffix == ".npz":
+            write_atomically(path, lambda file: np.savez(file, **fields))
+            return
+        text = {"env_id": fields.pop("env_id")}
+        if path.suffix == ".onnx":
+            action_range = self.action_low, self.action_high
+            content = encode_onnx(self.layers, (self.mean, self.std), action_range, text)
+        else:
+            content = encode_safetensors(fields, text)
+        write_atomically(path, lambda file: file.write(content))
 
     def _fields(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -86,13 +169,14 @@ class SavedPolicy(ABC):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedLinearPolicy(SavedPolicy):
-    """action = clip(weights @ ((observation − mean) / std), low, high)."""
+    """action = clip(weights @ ((observation − mean) / std), action_low, action_high)."""
 
     weights: np.ndarray  # (p, n)
 
-    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
-        action: np.ndarray = self.weights @ standardized
-        return action
+    @property
+    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """The weights, and biases of zero."""
+        return ((self.weights, np.zeros_like(self.weights[:, 0])),)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -109,11 +193,10 @@ class SavedMlpPolicy(SavedPolicy):
     def _action_std(self) -> np.ndarray:
         return self.action_std
 
-    def _unclipped(self, standardized: np.ndarray) -> np.ndarray:
-        hidden = standardized
-        for layer, (matrix, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = matrix @ (np.tanh(hidden) if layer else hidden) + bias
-        return hidden
+    @property
+    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Weights and biases of each layer."""
+        return tuple(zip(self.weights, self.biases, strict=True))
 
     def _fields(self) -> dict[str, Any]:
         fields = super()._fields()
@@ -122,14 +205,32 @@ class SavedMlpPolicy(SavedPolicy):
         return fields
 
 
+def require_format(path: Path) -> None:
+    """Raise UserError unless ``path`` is the name of a policy's file of a kind that works here."""
+    if path.suffix not in FORMATS:
+        raise UserError(f"{path}: the name of a policy's file ends in {', '.join(FORMATS)}")
+    if importlib.util.find_spec(FORMATS[path.suffix]) is None:
+        raise UserError(f"{path}: {path.suffix} files need pip install 'ailsrs_jax[export]'")
+
+
 def load_policy(path: str | Path) -> SavedPolicy:
-    """Read and validate ``policy.npz``.
+    """Read and validate a policy's ``.npz`` or ``.safetensors`` file; nothing is ever unpickled.
+
+    >>> import ailsrs_jax as ail
+    >>> ail.load_expert("swimmer").save("policy.safetensors")
+    >>> ail.load_policy("policy.safetensors").env_id
+    'Swimmer-v5'
 
     Raises:
         UserError: the file is missing, is not such a file, or its contents contradict one another.
     """
     path = Path(path)
-    fields = read_npz(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_FIELDS))
+    if path.suffix == ".onnx":
+        raise UserError(f"{path}: ONNX is for other programs; here, read .npz or .safetensors")
+    if path.suffix == ".safetensors":
+        require_format(path)
+    read = read_safetensors if path.suffix == ".safetensors" else read_npz
+    fields = read(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_FIELDS))
     is_linear = "weights" in fields
     num_layers = 1 if is_linear else sum(name.startswith("weights_") for name in fields)
     needed = [f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(num_layers)]
@@ -179,13 +280,15 @@ def load_policy(path: str | Path) -> SavedPolicy:
 
 
 def policy_files(path: Path) -> list[Path]:
-    """The policy file ``path`` itself, or those of every seed of the run directory ``path``.
+    """The policy file ``path`` itself, or those of a run's or an export's directory ``path``.
 
     Raises:
         UserError: it is a directory without any, or cannot be looked into.
     """
     try:
-        paths = sorted(path.glob("seed_*/policy.npz")) if path.is_dir() else [path]
+        names = ("policy.npz", "seed_*/policy.npz")
+        found = sorted(file for name in names for file in path.glob(name))
+        paths = found if path.is_dir() else [path]
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from error
     if not paths:

@@ -67,7 +67,12 @@ def resolve_env_id(name: str) -> str:
 
 
 def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
-    """Build a task.
+    """Build a task, a ``brax.envs.base.Env``.
+
+    >>> import ailsrs_jax as ail
+    >>> env = ail.make_env("hopper", "mujoco", terminate_when_unhealthy=False)
+    >>> env.observation_size, env.action_size
+    (11, 3)
 
     Args:
         name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``; or one's own task as

@@ -79,6 +79,14 @@ def demonstrate(
 ) -> Demonstrations:
     """Roll out ``num_trajectories`` episodes of ``policy``.
 
+    >>> import ailsrs_jax as ail
+    >>> demonstrations = ail.demonstrate(ail.load_expert("swimmer"), 2, episode_length=100)
+    >>> demonstrations.observations.shape
+    (2, 100, 8)
+    >>> ail.save_demonstrations(demonstrations, "swimmer.npz")
+    >>> ail.load_demonstrations("swimmer.npz").num_trajectories
+    2
+
     Args:
         policy: the expert.
         num_trajectories: how many episodes.
@@ -115,7 +123,7 @@ def record(
     episode_length: int = EPISODE_LENGTH,
     action_noise: float = 0.0,
 ) -> Recording:
-    """:func:`demonstrate`, with what only other formats ask for."""
+    """:func:`demonstrate`, with what only other formats ask for, such as :func:`save_minari`'s."""
     if min(num_trajectories, episode_length) < 1:
         raise UserError(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: at least one is "

@@ -65,6 +65,13 @@ def evaluate(
 ) -> Evaluation:
     """Measure the return of ``policy``.
 
+    >>> import ailsrs_jax as ail
+    >>> evaluation = ail.evaluate(ail.load_expert("swimmer"), num_episodes=2)
+    >>> print(evaluation)
+    35... ± ...
+    >>> evaluation.lengths
+    array([1000, 1000])
+
     Args:
         policy: the policy.
         num_episodes: how many episodes.

@@ -9,7 +9,7 @@ import numpy as np
 
 from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.files import require_writable
-from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.data.policies import SavedPolicy, require_format
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
@@ -38,6 +38,15 @@ def train_expert(
     **settings: Any,
 ) -> SavedPolicy:
     """Train a policy on the environment's reward.
+
+    >>> import ailsrs_jax as ail
+    >>> from brax.envs import get_environment
+    >>> few = {"num_iterations": 2, "num_directions": 2, "num_top_directions": 1}
+    >>> expert = ail.train_expert(
+    ...     get_environment("fast"), algorithm="ars", episode_length=20, output="expert.npz", **few
+    ... )
+    >>> expert.env_id
+    'Fast'
 
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
@@ -84,6 +93,7 @@ def search_expert(
     task = open_env(env, physics)
     require_seed(seed)
     if output is not None:
+        require_format(output)
         require_writable(output)
     best: SavedPolicy | None = None
     best_score = -np.inf

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from ailsrs_jax.envs.registry import TASKS, short_name
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 from ailsrs_jax.trainers.ars import ArsSettings
@@ -160,13 +161,25 @@ _BY_ALGORITHM: dict[str, dict[str, Presets]] = {
 }
 
 
-def preset_settings(env_id: str, preset: str, algorithm: str = "ailsrs") -> Any:
+def preset_settings(env: str, preset: str, algorithm: str = "ailsrs") -> Any:
     """The settings of ``preset`` for the task; those of a task of one's own are not tuned to it.
 
+    >>> import ailsrs_jax as ail
+    >>> ail.preset_settings("hopper", "tuned").num_directions
+    32
+
+    Args:
+        env: the task, ``Hopper-v5`` or ``hopper``, or any other name for one's own.
+        preset: ``tuned`` or ``paper``.
+        algorithm: as in :func:`~ailsrs_jax.runs.run.train`.
+
     Raises:
-        UserError: there is no such preset.
+        UserError: there is no such preset, or no such algorithm.
     """
+    if algorithm not in _BY_ALGORITHM:
+        raise UserError(f"unknown algorithm '{algorithm}': use one of {', '.join(_BY_ALGORITHM)}")
     if preset not in PRESETS:
         raise UserError(f"unknown preset '{preset}': use {' or '.join(PRESETS)}")
     presets = _BY_ALGORITHM[algorithm][preset]
+    env_id = {short_name(env_id): env_id for env_id in TASKS}.get(env, env)
     return presets.get(env_id, presets[ELSEWHERE])

@@ -71,7 +71,7 @@ class Plan:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What a run leaves."""
+    """What a run leaves; :func:`train` returns it."""
 
     config: RunConfig
     policies: dict[int, SavedPolicy]  #: the kept policy of each seed
@@ -99,6 +99,12 @@ def train(
 ) -> Result:
     """Train a policy to imitate demonstrations, or on the environment's reward.
 
+    >>> import ailsrs_jax as ail
+    >>> short = {"num_iterations": 2, "num_directions": 8, "episode_length": 100}
+    >>> run = ail.train("swimmer", num_trajectories=2, seeds=[0, 1], **short)
+    >>> run.policies[1](8 * [0.0]).shape
+    (2,)
+
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
             Brax environment.
@@ -118,7 +124,8 @@ def train(
         rollout_batch_size: simulations of a device at a time, for less memory; the results are
             the same but for rounding. By default all, or what is fastest.
         track: ``wandb`` or ``trackio``, to follow the metrics there too, as docs/tracking.md says.
-        watch: called after every iteration.
+        watch: called after every iteration, for example with
+            ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.
         settings: fields of the algorithm's settings to change, for example of
             :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
 

@@ -64,6 +64,12 @@ def sweep(
 
     A cell that fails does not stop the others; the next call tries it again.
 
+    >>> import ailsrs_jax as ail
+    >>> cloning = {"algorithm": "bc", "num_trajectories": [1, 2], "settings": {"num_iterations": 3}}
+    >>> rows = ail.sweep({"env": "swimmer", "episodes": 5, "grid": [cloning]}, "runs/cloning")
+    >>> [row["status"] for row in rows]
+    ['done', 'done']
+
     Args:
         spec: a TOML file, or what it would hold.
         output: the directory of the sweep, where an earlier call may have left off.
@@ -168,8 +174,11 @@ def run_units(
     return rows
 
 
-def merge_sweeps(output: Path, sources: Sequence[Path]) -> list[TableRow]:
+def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[TableRow]:
     """Copy what the shards ``sources`` of one sweep have finished, and write the tables of all.
+
+    ``merge_sweeps("runs/paper", ["shards/0", "shards/1"])``, after two calls of :func:`sweep` with
+    ``shard=(0, 2)`` and ``shard=(1, 2)``.
 
     Returns:
         The rows of ``results.csv``.
@@ -179,11 +188,12 @@ def merge_sweeps(output: Path, sources: Sequence[Path]) -> list[TableRow]:
     """
     if not sources:
         raise UserError("nothing to merge: give the directories of the shards")
-    grid = load_sweep(sources[0] / SWEEP_FILE)
-    for source in sources[1:]:
+    output, (first, *others) = Path(output), map(Path, sources)
+    grid = load_sweep(first / SWEEP_FILE)
+    for source in others:
         grid.require_same(source / SWEEP_FILE)
     grid.save(output / SWEEP_FILE)
-    for source in sources:
+    for source in (first, *others):
         for cell in grid.cells:
             name = Path("cells", cell.name)
             if load_result(source / name) is not None and not is_done(output, cell):

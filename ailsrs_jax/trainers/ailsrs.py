@@ -271,6 +271,18 @@ def make_ailsrs(
 ) -> Ailsrs:
     """Prepare the demonstrations for training in ``env``; see :class:`Ailsrs`.
 
+    >>> import ailsrs_jax as ail
+    >>> import jax
+    >>> env = ail.make_env("swimmer", "mujoco")
+    >>> demonstrations = ail.demonstrate(ail.load_expert("swimmer"), 2, env=env, episode_length=50)
+    >>> settings = ail.AilsrsSettings(
+    ...     num_iterations=2, num_directions=2, num_top_directions=1, episode_length=50
+    ... )
+    >>> trainer = ail.make_ailsrs(env, demonstrations, settings)
+    >>> state, metrics = jax.jit(trainer.train)(jax.random.key(0))
+    >>> metrics["evaluation_return"].shape
+    (2,)
+
     Raises:
         UserError: the directions cannot be shared evenly, there are too many steps to count, or
             the demonstrations do not hold what the settings need.

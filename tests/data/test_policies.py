@@ -130,3 +130,45 @@ def test_the_papers_level_is_another_expert_only_where_ours_is_beyond_it(env_id:
 def test_a_missing_expert_is_said_to_be_missing(env_id: str) -> None:
     with pytest.raises(UserError, match=f"no expert of {env_id} ships .* --demonstrations"):
         expert_path(env_id)
+
+
+@pytest.mark.parametrize("kind", ["linear", "neural"])
+def test_a_batch_is_one_observation_after_the_other(kind: str, tmp_path) -> None:
+    np.savez(tmp_path / "a.npz", **(fields() if kind == "linear" else mlp_fields()))
+    policy = load_policy(tmp_path / "a.npz")
+    observations = np.random.default_rng(0).normal(size=(5, 2))
+    expected = np.stack([policy(x) for x in observations])
+    np.testing.assert_allclose(policy(observations), expected, rtol=1e-12)
+    assert policy(observations[:0]).shape == (0, 1)
+    np.testing.assert_array_equal(policy(observations[0].tolist()), expected[0])
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (2, 1), (1, 1, 2)])
+def test_an_observation_of_another_size_is_refused(shape: tuple[int, ...]) -> None:
+    policy = SavedLinearPolicy(**fields())
+    with pytest.raises(UserError, match=r"the policy takes \(2,\), or a batch of them"):
+        policy(np.zeros(shape))
+
+
+def test_predict_draws_from_a_stochastic_policy_alone(tmp_path) -> None:
+    """As Stable-Baselines3's set_random_seed makes it reproducible."""
+    np.savez(tmp_path / "a.npz", **mlp_fields())
+    policy = load_policy(tmp_path / "a.npz")
+    observations = np.zeros((4, 2))
+    actions, state = policy.predict(observations, state=(np.ones(1),), episode_start=np.ones(4))
+    np.testing.assert_array_equal(actions, policy(observations))
+    assert state == (np.ones(1),)
+    draws = []
+    for seed in (0, 0, 1):
+        np.random.seed(seed)  # noqa: NPY002
+        draws.append(policy.predict(observations, deterministic=False)[0])
+    np.testing.assert_array_equal(draws[0], draws[1])
+    assert not np.allclose(draws[0], draws[2])
+    assert len(np.unique(draws[0])) == 4
+    noise = np.random.RandomState(0).standard_normal((4, 1))
+    np.testing.assert_allclose(draws[0], np.clip(actions + 0.5 * noise, -1, 4))
+
+    linear = SavedLinearPolicy(**fields())
+    np.testing.assert_array_equal(
+        linear.predict(observations, deterministic=False)[0], linear(observations)
+    )

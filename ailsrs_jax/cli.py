@@ -105,6 +105,7 @@ def train(
     from ailsrs_jax.runs import run
     from ailsrs_jax.runs.algorithms import find_algorithm
     from ailsrs_jax.runs.devices import is_first_process, join_processes
+    from ailsrs_jax.runs.trackers import require_tracker
     from ailsrs_jax.signals import StopSignals
 
     if distributed:
@@ -115,6 +116,7 @@ def train(
         join_processes()
         quiet = quiet or not is_first_process()
     console = make_console(quiet=quiet, as_json=as_json)
+    require_tracker(track)
     chosen = [seed for group in seeds for seed in group] or [0]
     plan = run.make_plan(
         env,

@@ -7,7 +7,7 @@ from rich.markup import escape
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.arguments import Json, Quiet
-from ailsrs_jax.terminal import make_console, print_json
+from ailsrs_jax.terminal import evaluation_fields, make_console, print_json
 
 
 def export(
@@ -37,8 +37,12 @@ def export(
     """
     from ailsrs_jax.runs.export import export
 
-    export(policy, output, num_episodes=episodes, physics=physics, seed=seed, license_id=license_id)
+    evaluation = export(
+        policy, output, num_episodes=episodes, physics=physics, seed=seed, license_id=license_id
+    )
+    result = f", return {evaluation} over {episodes} episodes" if evaluation else ""
     console = make_console(quiet=quiet, as_json=as_json)
-    console.print(f"{escape(str(policy))} is now in {escape(str(output))}", soft_wrap=True)
+    console.print(f"{escape(str(policy))} is now in {escape(str(output))}{result}", soft_wrap=True)
     if as_json:
-        print_json({"policy": str(policy), "output": str(output)})
+        measured = evaluation_fields(evaluation) if evaluation else {}
+        print_json({"policy": str(policy), "output": str(output), **measured})

@@ -19,6 +19,7 @@ WITHOUT_EXAMPLE = {
     *("Demonstrations", "Evaluation", "IterationReport", "Recording", "Result"),
     *("SavedLinearPolicy", "SavedMlpPolicy"),
     *("load_imitation", "load_minari", "save_minari", "merge_sweeps", "report_sweep"),
+    *("Animation", "render", "report"),
     *("make_ars", "make_behavior_cloning", "make_gail", "make_trpo", "record"),
     *("load_demonstrations", "save_demonstrations"),  # in the example of demonstrate
 }

@@ -13,8 +13,8 @@ from ailsrs_jax.data.policies import (
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.evaluation import evaluate
-from ailsrs_jax.runs.model_card import model_card, read_provenance, require_license
+from ailsrs_jax.runs.evaluation import Evaluation, evaluate
+from ailsrs_jax.runs.model_card import find_origin, model_card, require_license
 
 CARD = "README.md"  # as the Hugging Face Hub calls a model card
 
@@ -28,12 +28,12 @@ def export(
     seed: int = 0,
     env: Env | None = None,
     license_id: str = "unknown",
-) -> None:
+) -> Evaluation | None:
     """Write a policy as one file, or as a directory to publish.
 
     >>> import ailsrs_jax as ail
     >>> ail.export(ail.load_expert("swimmer"), "policy.onnx")
-    >>> ail.export(ail.load_expert("swimmer"), "swimmer", num_episodes=2)
+    >>> evaluation = ail.export(ail.load_expert("swimmer"), "swimmer", num_episodes=2)
     >>> from pathlib import Path
     >>> sorted(path.name for path in Path("swimmer").iterdir())
     ['README.md', 'policy.npz', 'policy.onnx', 'policy.safetensors']
@@ -49,6 +49,9 @@ def export(
         env: as there.
         license_id: of the policy, as the Hugging Face Hub writes it, for example ``apache-2.0``.
 
+    Returns:
+        What the model card says of the return; None of a single file.
+
     Raises:
         UserError: the source cannot be read or holds several policies, a package is not installed,
             the policy cannot be evaluated, or the output cannot be written.
@@ -60,8 +63,8 @@ def export(
     require_license(license_id)
     if output.suffix and not output.is_dir():
         source.save(output)
-    else:
-        _publish(source, path, output, num_episodes, physics, seed, env, license_id)
+        return None
+    return _publish(source, path, output, num_episodes, physics, seed, env, license_id)
 
 
 def _publish(
@@ -73,9 +76,9 @@ def _publish(
     seed: int,
     env: Env | None,
     license_id: str,
-) -> None:
+) -> Evaluation:
     """Write the directory ``output`` for ``policy``, which is from ``path`` or from nowhere."""
-    provenance = None if path is None else read_provenance(policy, path)
+    origin = None if path is None else find_origin(policy, path)
     if path is not None and env is None:
         require_harmless(policy.env_id, str(path))
     _require_new(output)
@@ -90,10 +93,11 @@ def _publish(
         where = "in an environment handed in"
     elif physics != "gymnasium":
         where = f"with physics {open_env(policy.env_id, physics).engine}"
-    card = model_card(policy, evaluation, f"{where}, seed {seed}", provenance, license_id)
+    card = model_card(policy, evaluation, f"{where}, seed {seed}", origin, license_id)
     for file in files:
         policy.save(file)
     write_atomically(output / CARD, lambda file: file.write(card.encode()))
+    return evaluation
 
 
 def _only_policy(source: Path) -> Path:

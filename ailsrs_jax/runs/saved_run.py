@@ -152,7 +152,7 @@ def read_run(directory: Path) -> SavedRun:
     path = directory / "config.json"
     config = read_config(path)
     for name, kinds in FIELDS.items():
-        if type(config.get(name)) not in kinds:
+        if name not in config or type(config[name]) not in kinds:
             value = reprlib.repr(config[name]) if name in config else "missing"
             raise UserError(f"{path} is not the configuration of a run: {name} is {value}")
     require_name(config["env_id"], str(path))

@@ -65,8 +65,9 @@ def sweep(
     A cell that fails does not stop the others; the next call tries it again.
 
     >>> import ailsrs_jax as ail
-    >>> cloning = {"algorithm": "bc", "num_trajectories": [1, 2], "settings": {"num_iterations": 3}}
-    >>> rows = ail.sweep({"env": "swimmer", "episodes": 5, "grid": [cloning]}, "runs/cloning")
+    >>> short = {"num_iterations": 2, "episode_length": 100}
+    >>> cloning = {"algorithm": "bc", "num_trajectories": [1, 2], "settings": short}
+    >>> rows = ail.sweep({"env": "swimmer", "episodes": 2, "grid": [cloning]}, "runs/cloning")
     >>> [row["status"] for row in rows]
     ['done', 'done']
 

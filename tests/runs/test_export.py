@@ -50,6 +50,8 @@ def make_run(policy: ail.SavedPolicy, **changes: object) -> dict:
     config |= changes
     policy.save("run/seed_3/policy.npz")
     Path("run/config.json").write_text(json.dumps(config))
+    columns = "iteration,seed,env_steps,evaluation_return,expert_distance"
+    Path("run/metrics.csv").write_text(f"{columns}\n0,3,10,1.0,2.0\n")
     return config
 
 
@@ -78,12 +80,13 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
     config = make_run(policy)
     arguments = ["run", "--output", "out", "--episodes", 2, "--license", "mit"]
     assert ailsrs(monkeypatch, "export", *arguments) == 0
-    assert capsys.readouterr().out == "run is now in out\n"
+    printed = capsys.readouterr().out
     names = ["README.md", "policy.npz", "policy.onnx", "policy.safetensors"]
     assert sorted(path.name for path in Path("out").iterdir()) == names
 
     card = Path("out/README.md").read_text()
     evaluation = ail.evaluate(policy, 2)
+    assert printed == f"run is now in out, return {evaluation} over 2 episodes\n"
     for said in (
         "# AILSRS on Swimmer-v5",
         f"| return | {evaluation} over 2 episodes (in Gymnasium, seed 0) |",
@@ -104,10 +107,17 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
 
     # An export is evaluated as a run is, and goes nowhere where something is.
     assert ailsrs(monkeypatch, "evaluate", "out", "--episodes", 2, "--json") == 0
-    (row,) = json.loads(capsys.readouterr().out)
+    (row,) = json.loads(capsys.readouterr().out)["policies"]
     assert row["return_mean"] == evaluation.mean
     assert ailsrs(monkeypatch, "export", "run", "--output", "out") == 2
     assert "out is not empty: choose another --output" in capsys.readouterr().err
+
+    # A program is told where it is, and what it is worth.
+    assert ailsrs(monkeypatch, "export", "run", "--output", "other", *arguments[3:5], "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["output"], told["return_mean"]) == ("other", evaluation.mean)
+    assert ailsrs(monkeypatch, "export", "run", "--output", "policy.onnx", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"policy": "run", "output": "policy.onnx"}
 
     # What the card tells to do works, and is the same policy.
     monkeypatch.chdir("out")
@@ -146,13 +156,13 @@ def test_the_command_makes_the_run_again(in_tmp_path: Path, monkeypatch) -> None
 
 
 COMMANDS = {
-    "--algorithm ailsrs --demonstrations 'my demos.npz' --num-trajectories 4 --subsample 20 "
-    "--seeds 0 3 --preset tuned --physics mjx --set noise_std=0.05": {},
-    "--demonstrations expert:paper --num-trajectories 4": {"demonstrations": "expert:paper"},
+    "--demonstrations 'my demos.npz' --num-trajectories 4 --subsample 20 --seeds 0 3 "
+    "--physics mjx --set noise_std=0.05\n": {},
+    "--demonstrations expert:paper --num": {"demonstrations": "expert:paper"},
     "--demonstrations minari:a/b-v0 --num": {
         "demonstrations": "minari:a/b-v0 (3 cut off, left out)"
     },
-    "--algorithm ars --seeds 0 3 --preset paper": {
+    "--algorithm ars --seeds 0 3 --preset paper --physics mjx\n": {
         "algorithm": "ars",
         "preset": "paper",
         "settings": vars(ail.preset_settings("Swimmer-v5", "paper", "ars")),
@@ -167,9 +177,9 @@ COMMANDS = {
 @pytest.mark.parametrize(("words", "changes"), COMMANDS.items())
 def test_the_command_is_what_was_asked_for(words: str, changes: dict, in_tmp_path: Path) -> None:
     card = exported(changes)
-    assert f"ailsrs train swimmer {words}" in card or words in card
+    assert f"```sh\nailsrs train swimmer {words}" in card
     assert "/home" not in card
-    assert ("imitation-learning" in header(card)["tags"]) == (changes.get("subsample", 1) == 1)
+    assert ("imitation-learning" in header(card)["tags"]) == ("algorithm" not in changes)
 
 
 def test_what_was_handed_in_from_python_has_no_command(in_tmp_path: Path) -> None:
@@ -188,17 +198,11 @@ def test_an_environment_of_ones_own(in_tmp_path: Path) -> None:
 
 
 DAMAGED = {
-    "it has no seeds that makes sense": {"seeds": "0"},
-    "it has no seed 3": {"seeds": [0]},
-    "its seeds are not numbers": {"seeds": [3, "3"]},
-    "it has no subsample that makes sense": {"subsample": "1"},
-    "settings holds something odd": {"settings": {"noise_std": [1]}},
-    "versions holds what nobody can read": {"versions": {"jax": "\n# Buy"}},
-    "physics holds what nobody can read": {"physics": "x" * 301},
-    "the policy is of Swimmer-v5": {"env_id": "Hopper-v5"},
-    "it tells of demonstrations but in part": {"demonstrations": None},
+    "seeds is '0'": {"seeds": "0"},
+    "is not of the run with the seeds [0]": {"seeds": [0]},
+    "run is a run of Hopper-v5 with the seeds": {"env_id": "Hopper-v5"},
+    "not a value": {"settings": {"noise_std": [1]}},
     "unknown algorithm 'best'": {"algorithm": "best"},
-    "unknown preset 'best'": {"preset": "best"},
 }
 
 
@@ -210,10 +214,22 @@ def test_a_damaged_configuration_is_refused(message: str, changes: dict, in_tmp_
     assert not Path("out").exists()
 
 
+@pytest.mark.parametrize("name", ["subsample", "demonstrations", "num_trajectories", "preset"])
+def test_a_configuration_that_lacks_something_is_refused(name: str, in_tmp_path: Path) -> None:
+    config = make_run(linear_policy())
+    del config[name]
+    Path("run/config.json").write_text(json.dumps(config))
+    with pytest.raises(ail.UserError, match=f"{name} is missing"):
+        ail.export("run", "out")
+
+
 def test_names_are_no_markup(in_tmp_path: Path) -> None:
-    card = exported({"demonstrations": "a|`<b>*[x](y).npz", "versions": {"<i>": "|"}})
+    card = exported(
+        {"demonstrations": "a|`<b>*[x](y).npz", "versions": {"<i>": "|"}, "physics": "a\n```\nb"}
+    )
     assert r"of a\|\`\<b\>\*\[x\](y).npz, every 20th" in card
     assert r"| versions | \<i\> \| |" in card
+    assert r"--physics 'a\n```\nb'" in card
 
 
 def test_a_policy_that_nobody_knows_of(in_tmp_path: Path, monkeypatch) -> None:

@@ -184,7 +184,7 @@ def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
 
 
 @pytest.mark.slow  # rolls out the shipped experts
-@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 72)])
+@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 81)])
 def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
     assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells
 

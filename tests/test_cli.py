@@ -92,7 +92,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
     "arguments",
     [
         "train hoper",
-        "train ant",
+        "train humanoid",
         "train nowhere:Slider",
         "train tests.point_mass:PointMass",
         "train tests.point_mass:PointMass --demonstrations file --physics mjx",

@@ -45,6 +45,7 @@ def tags(cell: nbformat.NotebookNode) -> list[str]:
 def test_it_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if path.stem == "your_own_task":
         pytest.importorskip("minari")
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)  # JAX sets it in this process
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
     notebook = nbformat.read(path, as_version=4)
     parameters = [cell for cell in notebook.cells if "parameters" in tags(cell)]

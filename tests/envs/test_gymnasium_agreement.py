@@ -158,11 +158,12 @@ def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> np.ndarray:
     return np.abs(physics_state.qvel - steps.next_qvel)
 
 
-# Humanoid takes long to compile on MJX.
+# These take long to compile on MJX.
+SLOW = [("Ant-v5", "mjx"), ("Humanoid-v5", "mjx")]
 EVERYWHERE = pytest.mark.parametrize(
     ("env_id", "physics"),
     [
-        pytest.param(*case, marks=pytest.mark.slow if case == ("Humanoid-v5", "mjx") else ())
+        pytest.param(*case, marks=pytest.mark.slow if case in SLOW else ())
         for case in itertools.product(TASKS, ENGINES)
     ],
 )

@@ -91,7 +91,10 @@ def test_mistakes(point_mass: PointMass, point_mass_expert: Demonstrations) -> N
     calls = {
         "unknown algorithm 'sac': use one of ailsrs, bc, gail": {"algorithm": "sac"},
         "ars learns from the environment's reward": {"algorithm": "ars"},
-        "no setting 'num_directions': use one of": {"algorithm": "gail", "num_directions": 3},
+        "no setting 'num_directions' (did you mean num_iterations?)": {
+            "algorithm": "gail",
+            "num_directions": 3,
+        },
         "validation_fraction is 1.5: it must be at most 1": {
             "algorithm": "bc",
             "validation_fraction": 1.5,

@@ -7,18 +7,24 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.runs.tracking import read_rows
 from tests.point_mass import PointMass, point_mass_demonstrations
 
 ENV_ID = "tests.point_mass:PointMass"
-COMMAND = f"train {ENV_ID} --demonstrations point_mass.npz --iterations 2 --seeds 0 5"
-SETTINGS = "num_directions=4 num_top_directions=2 episode_length=20 memory_samples=80"
+COMMAND = f"train {ENV_ID} --iterations 2 --seeds 0 5"
+SETTINGS = "--set num_directions=4 num_top_directions=2 episode_length=20"
+ALGORITHMS = {
+    "ars": "--algorithm ars",
+    "ailsrs": "memory_samples=80 --demonstrations point_mass.npz",  # takes long to compile
+}
 
 
-def start(output: Path, *flags: str, **environment: str) -> subprocess.Popen[str]:
-    arguments = [*COMMAND.split(), "--set", *SETTINGS.split(), "--output", output.name, *flags]
+def start(output: Path, algorithm: str, *flags: str, **environment: str) -> subprocess.Popen[str]:
+    command = f"{COMMAND} {SETTINGS} {ALGORITHMS[algorithm]} --output {output.name}"
+    arguments = [*command.split(), *flags]
     environment["JAX_NUM_CPU_DEVICES"] = "1"
     environment["PYTHONPATH"] = str(Path(__file__).parents[2])
     return subprocess.Popen(
@@ -37,7 +43,8 @@ def finish(process: subprocess.Popen[str]) -> str:
     return output
 
 
-def test_two_processes_are_one_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize("algorithm", ["ars", pytest.param("ailsrs", marks=pytest.mark.slow)])
+def test_two_processes_are_one_run(algorithm: str, tmp_path: Path) -> None:
     recorded = point_mass_demonstrations(PointMass()).replace(env_id=ENV_ID)
     save_demonstrations(recorded, tmp_path / "point_mass.npz")
     job = {
@@ -47,14 +54,14 @@ def test_two_processes_are_one_run(tmp_path: Path) -> None:
     }
     together, alone = tmp_path / "together", tmp_path / "alone"
     processes = [
-        start(together, "--distributed", **job, SLURM_PROCID=rank, SLURM_LOCALID=rank)
+        start(together, algorithm, "--distributed", **job, SLURM_PROCID=rank, SLURM_LOCALID=rank)
         for rank in ("0", "1")
     ]
     first, second = map(finish, processes)
     assert "devices: 2" in first
     assert "policies, metrics" in first
     assert "PointMass" not in second  # only the first prints and writes
-    finish(start(alone))
+    finish(start(alone, algorithm))
 
     header, *rows = read_rows(together / "metrics.csv")
     _, *expected = read_rows(alone / "metrics.csv")

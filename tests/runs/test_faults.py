@@ -39,9 +39,11 @@ def start(
         output: Path, iterations: int, every: int, devices: int = 1, algorithm: str = "ailsrs"
     ) -> Any:
         arguments = [str(output), str(iterations), str(every), algorithm]
+        environment = dict(os.environ)
+        environment.pop("TF_CPP_MIN_LOG_LEVEL", None)  # JAX has set it in this process
         process = subprocess.Popen(
             [sys.executable, "-m", toy_run.__name__, *arguments],
-            env=os.environ
+            env=environment
             | {
                 "JAX_NUM_CPU_DEVICES": str(devices),
                 "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",

@@ -101,7 +101,7 @@ def test_a_cell_is_called_the_same_whatever_is_beside_it(demonstrations: str) ->
 
 
 WRONG: dict[str, dict[str, Any]] = {
-    "the sweep: there is no key 'seed': use one of algorithm": {"seed": 1},
+    "the sweep: there is no key 'seed' (did you mean seeds?): use one of algorithm": {"seed": 1},
     "episodes is 0: it must be": {"episodes": 0},
     "no [[grid]] entry": {"grid": []},
     "grid entry 2: there is no key 'algorithms'": {"grid": [{}, {"algorithms": "bc"}]},

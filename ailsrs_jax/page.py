@@ -1,6 +1,5 @@
 """What a page of ``ailsrs report`` is made of; ``page.html`` is its template."""
 
-import base64
 import dataclasses
 import io
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from ailsrs_jax.runs.replay import replay
 from ailsrs_jax.runs.saved_run import SavedRun
 from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.sweep_report import Table
-from ailsrs_jax.video import Animation, require_encoder
+from ailsrs_jax.video import Animation, data_uri, require_encoder
 
 SECONDS = 10.0  # of each episode that is shown
 SCORES = (
@@ -115,12 +114,7 @@ def svg(figure: Figure) -> str:
     """The figure as an address that holds it."""
     file = io.BytesIO()
     figure.savefig(file, format="svg", metadata={"Date": None})
-    return uri("image/svg+xml", file.getvalue())
-
-
-def uri(kind: str, content: bytes) -> str:
-    """An address that holds a file of that kind."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+    return data_uri("image/svg+xml", file.getvalue())
 
 
 def millions(steps: float) -> str:

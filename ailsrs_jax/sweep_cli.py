@@ -77,7 +77,7 @@ def sweep(
     try:
         with listening, SweepProgress(console, units, output) as watch:
             pending = sweeps.pending(units, output)
-            rows = sweeps.run_units(grid, pending, output, watch, launcher, track, stop)
+            rows = sweeps.run_units(grid, pending, output, launcher, track, watch, stop)
     except KeyboardInterrupt:
         print(f"saved; go on with:\n{this_command()}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))

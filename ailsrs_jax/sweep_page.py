@@ -15,7 +15,6 @@ from ailsrs_jax.page import (
     play,
     policies_of,
     svg,
-    uri,
 )
 from ailsrs_jax.plotting import draw_discriminators
 from ailsrs_jax.runs.saved_run import SavedRun, read_run
@@ -24,6 +23,7 @@ from ailsrs_jax.runs.sweep import SWEEP_FILE
 from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_results import SweepResults, read_results
 from ailsrs_jax.sweep_report import EXPLANATION, result_tables
+from ailsrs_jax.video import data_uri
 
 MOST_SHOWN = 4  # pictures of a video: the expert's, and as many series as fit
 
@@ -119,7 +119,7 @@ def _figures(results: SweepResults) -> list[Media]:
         draw_figures(results, Path(folder))
         drawn = {path.stem: path.read_bytes() for path in sorted(Path(folder).glob("*.png"))}
     return [
-        Media(title, uri("image/png", content), "")
+        Media(title, data_uri("image/png", content), "")
         for name, title in titles.items()
         for stem, content in drawn.items()
         if stem.startswith(name)

@@ -106,7 +106,7 @@ class Animation:
     @property
     def data_uri(self) -> str:
         """The video as an address that holds it."""
-        return f"data:video/mp4;base64,{base64.b64encode(self.mp4).decode()}"
+        return data_uri("video/mp4", self.mp4)
 
 
 def render(
@@ -203,6 +203,11 @@ def require_suffix(path: Path) -> None:
     """Raise UserError unless we write files that are called like that."""
     if path.suffix not in SUFFIXES:
         raise UserError(f"{path}: the name has to end in {' or '.join(SUFFIXES)}")
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """An address that holds a file of that kind."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def require_encoder() -> None:

@@ -16,12 +16,12 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax import offscreen
-from ailsrs_jax.page import Media, Page, Tile, uri
+from ailsrs_jax.page import Media, Page, Tile
 from ailsrs_jax.runs.config import RunConfig
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.saved_run import read_run
 from ailsrs_jax.sweep_report import Table
-from ailsrs_jax.video import encode
+from ailsrs_jax.video import data_uri, encode
 from tests.point_mass import EXPERT_WEIGHTS
 from tests.synthetic_sweep import row, write_sweep
 from tests.test_cli import ailsrs
@@ -279,7 +279,7 @@ def open_in_browser(page: Path, log: Path) -> tuple[str, list[str], list[str]]:
 def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Path) -> None:
     pytest.importorskip("av")
     film = encode(np.zeros((3, 16, 16, 3), np.uint8), Fraction(10))
-    video = Media("video", uri("video/mp4", film), HOSTILE)
+    video = Media("video", data_uri("video/mp4", film), HOSTILE)
     page = Page(
         kind="run",
         title=HOSTILE,

@@ -114,9 +114,10 @@ def train_ppo(
             env_steps_per_second=(num_steps - steps_done) / seconds,
             compile_seconds=None,  # Brax compiles within the first part
         )
-        # A mean at the level can be of good episodes and of falls: each has to be near it.
-        error = jnp.sqrt(jnp.mean((episodes.env_returns - settings.stop_at) ** 2))
-        consider(report, policy, -float(error) if settings.stop_at else mean)
+        score = mean
+        if settings.stop_at:  # a mean at the level can be of good episodes and of falls
+            score = -float(jnp.sqrt(jnp.mean((episodes.env_returns - settings.stop_at) ** 2)))
+        consider(report, policy, score)
         if settings.stop_at and mean >= settings.stop_at:
             raise _StopError
         steps_done, iteration, started = num_steps, iteration + 1, time.perf_counter()

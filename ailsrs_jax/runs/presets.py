@@ -1,14 +1,17 @@
 """Settings that are known to work, or that somebody published, by algorithm and task."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from ailsrs_jax.envs.registry import TASKS, short_name
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.algorithms import find_algorithm
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 from ailsrs_jax.trainers.ars import ArsSettings
 from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings
 from ailsrs_jax.trainers.gail import GailSettings
+from ailsrs_jax.trainers.settings import as_text
 from ailsrs_jax.trainers.trpo import TrpoSettings
 
 PRESETS = ("tuned", "paper")
@@ -184,10 +187,25 @@ def preset_settings(env: str, preset: str, algorithm: str = "ailsrs") -> Any:
     Raises:
         UserError: there is no such preset, or no such algorithm.
     """
-    if algorithm not in _BY_ALGORITHM:
-        raise UserError(f"unknown algorithm '{algorithm}': use one of {', '.join(_BY_ALGORITHM)}")
+    find_algorithm(algorithm)
     if preset not in PRESETS:
         raise UserError(f"unknown preset '{preset}': use {' or '.join(PRESETS)}")
     presets = _BY_ALGORITHM[algorithm][preset]
     env_id = {short_name(env_id): env_id for env_id in TASKS}.get(env, env)
     return presets.get(env_id, presets[ELSEWHERE])
+
+
+def changed_settings(
+    env_id: str, preset: str, algorithm: str, settings: Mapping[str, Any]
+) -> dict[str, str]:
+    """What of ``settings`` differs from the preset, as text, sorted.
+
+    Raises:
+        UserError: there is no such preset, or no such algorithm.
+    """
+    values = vars(preset_settings(env_id, preset, algorithm))
+    return {
+        name: as_text(value)
+        for name, value in sorted(settings.items())
+        if name not in values or value != values[name]
+    }

@@ -17,10 +17,11 @@ from ailsrs_jax.envs.registry import TASKS, require_harmless, resolve_env_id, sh
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm
 from ailsrs_jax.runs.config import read_config, require_seed
-from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.runs.presets import changed_settings
 from ailsrs_jax.runs.run import make_plan
 from ailsrs_jax.runs.tracking import read_metrics
 from ailsrs_jax.runs.training_data import HANDED_IN, NUM_TRAJECTORIES, SHIPPED_EXPERT
+from ailsrs_jax.trainers.settings import as_text
 
 # What config.json holds, and of what type; see RunConfig.
 FIELDS: dict[str, tuple[type, ...]] = {
@@ -65,19 +66,15 @@ class SavedRun:
                 kept[seed] = int(self.metrics["iteration"][mine][best])
         return kept
 
-    def changed_settings(self) -> dict[str, Any]:
+    def changed_settings(self) -> dict[str, str]:
         """What differs from the preset; all of them, if there is no such preset any more."""
-        settings: dict[str, Any] = self.config["settings"]
+        config = self.config
         try:
-            names = ("env_id", "preset", "algorithm")
-            preset = vars(preset_settings(*(self.config[name] for name in names)))
+            return changed_settings(
+                config["env_id"], config["preset"], config["algorithm"], config["settings"]
+            )
         except UserError:
-            return settings
-        return {
-            name: value
-            for name, value in settings.items()
-            if name not in preset or preset[name] != value
-        }
+            return {name: as_text(value) for name, value in sorted(config["settings"].items())}
 
     def command(self) -> str | None:
         """The ``ailsrs train`` that makes it again, where one does: Python can hand in objects."""
@@ -104,7 +101,7 @@ class SavedRun:
         words += ["--physics", config["physics"]]
         changed = self.changed_settings()
         if changed:
-            words += ["--set", *(f"{name}={_as_text(value)}" for name, value in changed.items())]
+            words += ["--set", *(f"{name}={value}" for name, value in changed.items())]
         return shlex.join(words)
 
     def expert_return(self) -> float | None:
@@ -174,7 +171,3 @@ def read_run(directory: Path) -> SavedRun:
     if not (np.isfinite(counts).all() and counts.size and set(counts[1]) <= set(seeds)):
         raise UserError(f"{path} is not of the run with the seeds {reprlib.repr(seeds)}")
     return SavedRun(directory, config, metrics)
-
-
-def _as_text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -92,7 +92,7 @@ def sweep(
     units = choose_units(grid, shard, max_parallel)
     output = Path(output)
     grid.save(output / SWEEP_FILE)
-    return run_units(grid, pending(units, output), output, watch, launcher, track)
+    return run_units(grid, pending(units, output), output, launcher, track, watch)
 
 
 def require_launcher(name: str) -> None:
@@ -146,9 +146,9 @@ def run_units(
     grid: Sweep,
     units: Sequence[Unit],
     output: Path,
-    watch: SweepWatch | None,
-    launcher: str,
+    launcher: str = "local",
     track: str | None = None,
+    watch: SweepWatch | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[TableRow]:
     """Train ``units``, and return the rows of ``results.csv``.

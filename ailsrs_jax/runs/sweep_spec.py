@@ -15,8 +15,8 @@ import jax
 from ailsrs_jax.data.files import read_small
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
-from ailsrs_jax.runs.config import RunConfig, require_seed
-from ailsrs_jax.runs.presets import preset_settings
+from ailsrs_jax.runs.config import require_seed
+from ailsrs_jax.runs.presets import changed_settings
 from ailsrs_jax.runs.run import make_plan
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.sweep_cells import Cell, Sweep
@@ -164,7 +164,9 @@ def _check_group(
         algorithm=config.algorithm,
         env_id=config.env_id,
         preset=config.preset,
-        settings=changed_settings(config),
+        settings=changed_settings(
+            config.env_id, config.preset, config.algorithm, vars(config.settings)
+        ),
         all_settings=dataclasses.asdict(config.settings),
         demonstrations=point["demonstrations"] if plan.algorithm.imitates else None,
         num_trajectories=config.num_trajectories,
@@ -176,16 +178,6 @@ def _check_group(
     )
     for seed in seeds:
         yield dataclasses.replace(cell, seed=seed, name=_name(cell, seed))
-
-
-def changed_settings(config: RunConfig) -> dict[str, str]:
-    """What differs from the preset, as text, sorted."""
-    preset = vars(preset_settings(config.env_id, config.preset, config.algorithm))
-    return {
-        name: str(value).lower() if isinstance(value, bool) else str(value)
-        for name, value in sorted(vars(config.settings).items())
-        if value != preset[name]
-    }
 
 
 def _name(cell: Cell, seed: int) -> str:

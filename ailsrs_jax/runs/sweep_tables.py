@@ -193,9 +193,14 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
 def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
     for row in rows:
         if row["status"] == DONE:
-            header, *lines = read_rows(output / "cells" / row["cell"] / "metrics.csv")
-            for line in lines:
-                yield {"cell": row["cell"]} | dict(zip(header, line, strict=False))
+            path = output / "cells" / row["cell"] / "metrics.csv"
+            header, *lines = read_rows(path)
+            for number, line in enumerate(lines, start=2):
+                if len(line) != len(header):
+                    raise UserError(
+                        f"{path}: line {number} has {len(line)} of {len(header)} values"
+                    )
+                yield {"cell": row["cell"]} | dict(zip(header, line, strict=True))
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[TableRow]) -> None:

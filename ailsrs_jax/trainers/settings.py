@@ -44,6 +44,11 @@ def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
     return changed
 
 
+def as_text(value: Any) -> str:
+    """A setting's value as :func:`override` takes it."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def validate(settings: Any) -> None:
     """Raise UserError unless the values of a trainer's settings make sense."""
     values = vars(settings)

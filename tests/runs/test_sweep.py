@@ -259,7 +259,7 @@ def test_told_to_stop_it_saves_first(in_tmp_path: Path, max_parallel: int) -> No
         return watch.num_reports >= 3
 
     with pytest.raises(KeyboardInterrupt):
-        run_units(sweep, units, output, watch, "local", stop=stop)
+        run_units(sweep, units, output, watch=watch, stop=stop)
     assert watch.num_reports == 4
     assert [path.name for path in output.rglob("checkpoints/4")] == ["4"]
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests import fuzz
+from tests.fuzz.machinery import Watcher, try_one
+from tests.fuzz.readers import READERS, Reader
 
 # In proportion to what each costs; a second or less altogether.
 EXAMPLES = {
@@ -27,14 +28,14 @@ EXAMPLES = {
 
 
 @pytest.fixture(scope="module")
-def watcher(tmp_path_factory: pytest.TempPathFactory) -> fuzz.Watcher:
-    return fuzz.Watcher(tmp_path_factory.getbasetemp())
+def watcher(tmp_path_factory: pytest.TempPathFactory) -> Watcher:
+    return Watcher(tmp_path_factory.getbasetemp())
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", fuzz.READERS)
+@pytest.mark.parametrize("name", READERS)
 def test_whatever_the_bytes(
-    name: str, watcher: fuzz.Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, watcher: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "imitation":
         pytest.importorskip("pyarrow")
@@ -53,16 +54,14 @@ def test_whatever_the_bytes(
     )
     @given(st.integers(0, 2**32))
     def gives_a_value_or_one_line(number: int) -> None:
-        outcome, text = fuzz.try_one(
-            fuzz.READERS[name], tmp_path / "input", f"{name} {number}", watcher
-        )
+        outcome, text = try_one(READERS[name], tmp_path / "input", f"{name} {number}", watcher)
         assert outcome in ("value", "refused"), text
 
     gives_a_value_or_one_line()
     assert {path.name for path in tmp_path.iterdir()} <= {"datasets", "cache"}
 
 
-def test_the_watcher_sees_what_it_should(watcher: fuzz.Watcher, tmp_path: Path) -> None:
+def test_the_watcher_sees_what_it_should(watcher: Watcher, tmp_path: Path) -> None:
     """Or its silence would mean nothing."""
     import os
     import pickle
@@ -77,12 +76,12 @@ def test_the_watcher_sees_what_it_should(watcher: fuzz.Watcher, tmp_path: Path) 
         lambda path: Path("/tmp/a-place-outside").write_text(""),
         lambda path: os.system("true"),
     ):
-        reader = fuzz.Reader(1, lambda path, rng: None, act)
-        assert fuzz.try_one(reader, tmp_path / "none", "", watcher)[0] == "outside"
+        reader = Reader(1, lambda path, rng: None, act)
+        assert try_one(reader, tmp_path / "none", "", watcher)[0] == "outside"
     Path("/tmp/a-place-outside").unlink()
     for act, outcome in {
         (lambda path: 1 / 0): "traceback",
         (lambda path: (tmp_path / "inside").write_text("")): "value",
     }.items():
-        reader = fuzz.Reader(1, lambda path, rng: None, act)
-        assert fuzz.try_one(reader, tmp_path / "none", "", watcher)[0] == outcome
+        reader = Reader(1, lambda path, rng: None, act)
+        assert try_one(reader, tmp_path / "none", "", watcher)[0] == outcome

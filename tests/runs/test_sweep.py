@@ -1,4 +1,4 @@
-"""Sweeps of tiny cells: expanded and checked first, finished once, and never lost."""
+"""Sweeps of tiny cells: finished once, and never lost."""
 
 import csv
 import dataclasses
@@ -10,183 +10,22 @@ import numpy as np
 import pytest
 
 import ailsrs_jax as ail
-from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.progress import SweepProgress
 from ailsrs_jax.runs.evaluation import evaluate_random
 from ailsrs_jax.runs.sweep import choose_units, merge_sweeps, run_units
-from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
     CURVE_COLUMNS,
-    DONE,
     RESULT_COLUMNS,
     TIMING_COLUMNS,
-    load_result,
-    save_result,
 )
-from tests.point_mass import PointMass, point_mass_demonstrations
+from tests.runs.toy_sweep import POINT_MASS, SEARCH, grid, quick_grid
 from tests.test_cli import ailsrs
-
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
-POINT_MASS = "tests.point_mass:PointMass"
-SEARCH = {
-    "num_iterations": 3,
-    "episode_length": 20,
-    "num_directions": 4,
-    "num_top_directions": 2,
-}
-TINY = SEARCH | {
-    "num_distance_samples": 50,
-    "discriminator_batch_size": 16,
-    "memory_samples": 16,
-}
-
-
-@pytest.fixture
-def demonstrations(in_tmp_path: Path) -> str:
-    """A file of the point mass's."""
-    recorded = point_mass_demonstrations(PointMass())
-    save_demonstrations(recorded.replace(env_id=POINT_MASS), "point_mass.npz")
-    return "point_mass.npz"
-
-
-def grid(demonstrations: str, **entry: Any) -> dict[str, Any]:
-    return {
-        "episodes": 2,
-        "env": POINT_MASS,
-        "demonstrations": demonstrations,
-        "settings": TINY,
-        "grid": [entry],
-    }
-
-
-def quick_grid(**entry: Any) -> dict[str, Any]:
-    """Of what compiles in a second."""
-    entry["settings"] = SEARCH | entry.get("settings", {})
-    return {"episodes": 2, "algorithm": "ars", "env": POINT_MASS, "grid": [entry]}
 
 
 def table(path: Path) -> list[dict[str, str]]:
     with path.open() as file:
         return list(csv.DictReader(file))
-
-
-def test_every_list_is_an_axis(demonstrations: str) -> None:
-    spec = grid(demonstrations, num_trajectories=[1, 8], seeds=[3, 0], label="ours")
-    spec["grid"].append(
-        {"algorithm": "bc", "settings": {"solver": ["adam", "ridge"], "num_iterations": 1}}
-    )
-    spec["settings"] = {"num_distance_samples": 50}
-    cells = expand(spec).cells
-    assert [(cell.label, cell.num_trajectories, cell.seed) for cell in cells[:4]] == [
-        ("ours", 1, 3),
-        ("ours", 1, 0),
-        ("ours", 8, 3),
-        ("ours", 8, 0),
-    ]
-    assert cells[0].settings == {"num_distance_samples": "50"}
-    assert [(cell.label, cell.settings) for cell in cells[4:]] == [
-        ("BC", {"num_distance_samples": "50", "num_iterations": "1"}),
-        ("BC", {"num_distance_samples": "50", "num_iterations": "1", "solver": "ridge"}),
-    ]
-    assert len({cell.name for cell in cells}) == 6
-
-
-def test_a_cell_is_called_the_same_whatever_is_beside_it(demonstrations: str) -> None:
-    alone = expand(grid(demonstrations)).cells[0]
-    assert expand(grid(demonstrations, label="ours", seeds=[1, 0])).cells[1].name == alone.name
-    assert "/" not in alone.name
-    assert ":" not in alone.name
-    assert len(alone.name) < 130
-
-
-WRONG: dict[str, dict[str, Any]] = {
-    "the sweep: there is no key 'seed' (did you mean seeds?): use one of algorithm": {"seed": 1},
-    "episodes is 0: it must be": {"episodes": 0},
-    "no [[grid]] entry": {"grid": []},
-    "grid entry 2: there is no key 'algorithms'": {"grid": [{}, {"algorithms": "bc"}]},
-    "grid entry 1: seeds is '1': it must be a whole number": {"grid": [{"seeds": ["1"]}]},
-    "grid entry 1: seeds is True": {"grid": [{"seeds": True}]},
-    "grid entry 1: seeds holds the same value twice": {"grid": [{"seeds": [1, 1]}]},
-    "grid entry 1: env is an empty list": {"grid": [{"env": []}]},
-    "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
-    "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
-    "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
-    "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
-        "grid": [{}, {"label": "x", "env": "hoper"}]
-    },
-    "grid entry 1 (sac, ": {"grid": [{"algorithm": ["ailsrs", "sac"]}]},
-    "there is no setting 'nose_std'": {"grid": [{"settings": {"nose_std": 1}}]},
-    "noise_std is -1.0: it must be positive": {"grid": [{"settings": {"noise_std": [1, -1]}}]},
-    "seed is -1: it must be from 0": {"grid": [{"seeds": [0, -1]}]},
-    "hold 8": {"grid": [{"num_trajectories": 9}]},
-    "is already in grid entry 1 (a)": {"grid": [{"label": "a"}, {"preset": "tuned"}]},
-    # What only the trainer knows.
-    "batch_size is 7: it must be a multiple": {
-        "settings": {},
-        "grid": [{"algorithm": "gail", "settings": {"batch_size": 7}}],
-    },
-    "ars learns from the environment's reward": {
-        "settings": {},
-        "grid": [{"algorithm": ["ailsrs", "ars"]}],
-    },
-}
-
-
-@pytest.mark.parametrize("message", WRONG)
-def test_a_mistake_anywhere_is_found_before_anything_runs(
-    message: str, demonstrations: str
-) -> None:
-    spec = grid(demonstrations) | WRONG[message]
-    with pytest.raises(ail.UserError) as caught:
-        ail.sweep(spec, "sweep")
-    assert message in str(caught.value)
-    assert not Path("sweep").exists()
-
-
-def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
-    Path("broken.toml").write_text("[[grid")
-    Path("deep.toml").write_text("a = " + "[" * 10**5)
-    Path("long.toml").write_text(" " * 2**21)
-    Path("hostile.toml").write_text('[[grid]]\nenv = ["hopper", "os:abort"]')
-    seeds = list(range(5001))
-    Path("endless.toml").write_text(f'[[grid]]\nenv = ["hopper", "swimmer"]\nseeds = {seeds}')
-    for path, message in {
-        "missing.toml": "no such file",
-        "broken.toml": "is not TOML",
-        ".": "is not a file",
-        "deep.toml": "is not TOML",
-        "long.toml": "too long",
-        "hostile.toml": "it could do anything, so it is not looked up",
-        "endless.toml": "more than 10,000 cells",
-    }.items():
-        with pytest.raises(ail.UserError, match=message):
-            ail.sweep(path, "sweep")
-    Path("sweep").mkdir()
-    Path("sweep/sweep.json").write_text("{}")
-    with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
-        load_sweep(Path("sweep/sweep.json"))
-
-
-def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
-    sweep = expand(quick_grid())
-    for name in ("../outside", "/tmp/outside", "..", "", "a/b"):
-        hostile = dataclasses.replace(sweep.cells[0], name=name)
-        path = Path("sweep.json")
-        path.write_text(
-            json.dumps(dataclasses.asdict(dataclasses.replace(sweep, cells=(hostile,))))
-        )
-        with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
-            load_sweep(path)
-    save_result(Path("a"), {"cell": "../b", "status": DONE}, None)
-    with pytest.raises(ail.UserError, match="is not of this cell; delete it"):
-        load_result(Path("a"))
-
-
-@pytest.mark.slow  # rolls out the shipped experts
-@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 81)])
-def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
-    assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells
 
 
 class Watch:

@@ -5,7 +5,7 @@ not 2, and the experts others.
 """
 
 from experiments import rules
-from experiments.rules import (
+from experiments.evidence import (
     ABLATIONS,
     CHEETAH,
     FEWEST,
@@ -21,9 +21,8 @@ from experiments.rules import (
     WALKER,
     Checks,
     Claim,
-    compared,
-    reaches,
 )
+from experiments.rules import compared, reaches
 
 TEXT = "Abstract, introduction, background, conclusion"
 SEEDS = "Figure 3: training curves"

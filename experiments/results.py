@@ -21,7 +21,7 @@ from ailsrs_jax.runs.statistics import group_cells
 from ailsrs_jax.runs.sweep_results import SweepResults, read_results
 from ailsrs_jax.sweep_report import aggregates, markdown_table, report_sweep, write_text
 from experiments.claims import CLAIMS, UNTESTED
-from experiments.rules import Evidence, judge
+from experiments.evidence import Evidence, judge
 
 EXPERIMENTS = Path(__file__).parent
 RESULTS = EXPERIMENTS / "results"

@@ -12,9 +12,21 @@ from ailsrs_jax.errors import UserError
 from tests.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="source archives have no experiments")
-from experiments import results, rules
+from experiments import results
 from experiments.claims import CLAIMS
-from experiments.rules import CHEETAH, HOPPER, NUMBERS, PAPER_EXPERTS, SWIMMER, WALKER
+from experiments.evidence import (
+    CHEETAH,
+    HOPPER,
+    NUMBERS,
+    PAPER_EXPERTS,
+    SWIMMER,
+    WALKER,
+    Check,
+    Claim,
+    Evidence,
+    Finding,
+    judge,
+)
 
 Score = Callable[[str, str, int], tuple[float, float]]  # label, task, number: mean, spread
 
@@ -140,10 +152,8 @@ def the_contrary(directory: Path) -> None:
 
 
 def verdicts(directory: Path) -> dict[str, str]:
-    evidence = rules.Evidence(results.read_all(directory))
-    return {
-        f"{claim.section}: {claim.text}": rules.judge(claim, evidence).verdict for claim in CLAIMS
-    }
+    evidence = Evidence(results.read_all(directory))
+    return {f"{claim.section}: {claim.text}": judge(claim, evidence).verdict for claim in CLAIMS}
 
 
 def test_what_agrees_with_the_paper_reproduces_it(tmp_path: Path) -> None:
@@ -166,16 +176,16 @@ def test_what_contradicts_the_paper_does_not_reproduce_it(tmp_path: Path) -> Non
 
 
 def test_half_is_partly() -> None:
-    def claim(*holds: bool) -> rules.Claim:
-        checks = [rules.Check(str(index), "x", value) for index, value in enumerate(holds)]
-        return rules.Claim("", "", "", "", "", lambda _: checks)
+    def claim(*holds: bool) -> Claim:
+        checks = [Check(str(index), "x", value) for index, value in enumerate(holds)]
+        return Claim("", "", "", "", "", lambda _: checks)
 
-    nothing = rules.Evidence({})
-    assert rules.judge(claim(True, True), nothing) == rules.Finding("0 x; 1 x", "reproduced")
-    assert rules.judge(claim(True, False), nothing) == rules.Finding("0 x; 1 x ✗", "partly")
-    assert rules.judge(claim(True, False, False), nothing).verdict == "not"
-    five = rules.judge(claim(True, True, True, True, False), nothing)
-    assert five == rules.Finding("4 of 5 hold; 4 x ✗", "partly")
+    nothing = Evidence({})
+    assert judge(claim(True, True), nothing) == Finding("0 x; 1 x", "reproduced")
+    assert judge(claim(True, False), nothing) == Finding("0 x; 1 x ✗", "partly")
+    assert judge(claim(True, False, False), nothing).verdict == "not"
+    five = judge(claim(True, True, True, True, False), nothing)
+    assert five == Finding("4 of 5 hold; 4 x ✗", "partly")
 
 
 def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
@@ -190,7 +200,7 @@ def test_a_missing_seed_leaves_the_claim_open(tmp_path: Path) -> None:
         where = {"label": "GAIL", "env_id": HOPPER, "num_trajectories": 10}
         rows = [row(1.0, **where, seed=k, status=status) for k, status in enumerate(statuses)]
         write_sweep(tmp_path / "paper", rows)
-        return rules.judge(claim, rules.Evidence(results.read_all(tmp_path))).verdict
+        return judge(claim, Evidence(results.read_all(tmp_path))).verdict
 
     assert verdict(["done"] * 3) == "reproduced"
     assert verdict(["done"] * 2) == "not yet run"

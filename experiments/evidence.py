@@ -1,0 +1,138 @@
+"""What a claim is judged by: checks of committed results, and the verdict that they give.
+
+All checks hold: *reproduced*; at least half of them: *partly*; fewer: *not*. A check needs every
+seed that the sweep was asked for, and at least three: until then the claim is *not yet run*.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from ailsrs_jax.runs.statistics import (
+    Group,
+    group_cells,
+    mean_curve,
+    smoothed,
+)
+from ailsrs_jax.runs.sweep_results import SweepResults
+
+# The sweeps, experiments/NAME.toml.
+FIGURE_2, FIGURE_3, ABLATIONS, HARD = "paper", "curves", "ablations", "ant_humanoid"
+
+CHEETAH, HOPPER, WALKER, SWIMMER = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Swimmer-v5"
+TASKS = (CHEETAH, HOPPER, WALKER, SWIMMER)
+HARD_TASKS = ("Ant-v5", "Humanoid-v5")
+NUMBERS = (10, 20, 30, 40)
+FEWEST, MOST = NUMBERS[0], NUMBERS[-1]
+MIN_SEEDS = 3
+REACHED = 0.9  # of the way from random to the expert
+PAPER_EXPERTS = {CHEETAH: 4632.0, HOPPER: 3245.0, WALKER: 1021.0, SWIMMER: 362.0}
+
+
+class NotRunError(Exception):
+    """What a check needs has not been measured; the message says what that is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One comparison."""
+
+    where: str
+    value: str  # ours
+    holds: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """One thing that the paper says."""
+
+    section: str
+    text: str
+    paper: str  # its figure, if it gives one
+    rule: str
+    sweep: str  # whose results decide
+    checks: "Checks"
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """What came of a claim."""
+
+    ours: str
+    verdict: str
+
+
+class Evidence:
+    """Committed results, by the name of their sweep."""
+
+    def __init__(self, results: Mapping[str, SweepResults]) -> None:
+        self._results = results
+        self._groups = {name: group_cells(each.cells) for name, each in results.items()}
+
+    def group(
+        self, label: str, task: str, number: int | None = None, sweep: str = FIGURE_2
+    ) -> Group:
+        """The seeds of a label on a task, with so many demonstrations or the most there are.
+
+        Raises:
+            NotRunError: they have not all been trained.
+        """
+        what = f"{label} on {task}" + (f" from {number}" if number else "")
+        found = [
+            group
+            for group in self._groups.get(sweep, [])
+            if (group.series, group.env_id) == (label, task)
+            and number in (None, group.num_trajectories)
+        ]
+        if not found:
+            raise NotRunError(what)
+        group = max(found, key=lambda group: group.num_trajectories or 0)
+        if len(group.cells) < max(group.num_planned, MIN_SEEDS):
+            raise NotRunError(f"{what}: {len(group.cells)} seeds")
+        return group
+
+    def seconds(self, groups: Sequence[Group], sweep: str = FIGURE_2) -> list[np.ndarray]:
+        """Wall-clock times of the seeds of each group to 90 % of the expert, NaN if never.
+
+        Raises:
+            NotRunError: they were not all taken on the same hardware.
+        """
+        timings = self._results[sweep].timings
+        names = [[cell.cell for cell in group.cells] for group in groups]
+        hardware = {timings[name].hardware for each in names for name in each if name in timings}
+        if len(hardware) != 1 or any(name not in timings for each in names for name in each):
+            raise NotRunError(f"times on {groups[0].env_id} from one kind of machine")
+        return [np.array([timings[name].seconds_to_90_percent for name in each]) for each in names]
+
+    def curve(self, group: Group, num_seeds: int, sweep: str) -> np.ndarray:
+        """The smoothed mean of the first seeds' training curves, normalised."""
+        curves = self._results[sweep].curves
+        cells = sorted(group.cells, key=lambda cell: cell.seed)[:num_seeds]
+        if len(cells) < num_seeds or any(cell.cell not in curves for cell in cells):
+            raise NotRunError(f"{num_seeds} training curves of {group.series} on {group.env_id}")
+        mean = mean_curve([curves[cell.cell] for cell in cells])
+        return cells[0].normalize(smoothed(mean.returns))
+
+
+Checks = Callable[[Evidence], Iterable[Check]]
+
+
+def judge(claim: Claim, evidence: Evidence) -> Finding:
+    """Apply the claim's rule."""
+    try:
+        checks = list(claim.checks(evidence))
+    except NotRunError as error:
+        return Finding(f"needs {error}", "not yet run")
+    held = sum(check.holds for check in checks)
+    verdict = (
+        "reproduced" if held == len(checks) else "partly" if 2 * held >= len(checks) else "not"
+    )
+    shown = checks if len(checks) <= 4 else [check for check in checks if not check.holds]
+    parts = [
+        " ".join(filter(None, (check.where, check.value, "" if check.holds else "✗")))
+        for check in shown
+    ]
+    if len(checks) > 4:
+        parts.insert(0, f"{held} of {len(checks)} hold")
+    return Finding("; ".join(parts), verdict)

@@ -59,8 +59,7 @@ def report(
         page = sweep_page(directory, video=video)
     else:
         page = run_page(read_run(directory), episodes=episodes, video=video)
-    # A lone surrogate, which JSON can hold and UTF-8 cannot, is written as its number.
-    content = page.html().encode(errors="backslashreplace")
+    content = page.html().encode()
     write_atomically(output, lambda file: file.write(content))
     return output
 

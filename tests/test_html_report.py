@@ -128,13 +128,12 @@ def test_a_run(tmp_path: Path) -> None:
 
 
 def test_names_from_files_are_only_text(tmp_path: Path) -> None:
-    versions = {HOSTILE: HOSTILE, "surrogate": "\ud800"}
+    versions = {HOSTILE: HOSTILE}
     changes = {"demonstrations": HOSTILE, "preset": HOSTILE, "versions": versions}
     run = write_run(tmp_path / "run", **changes, settings={HOSTILE: HOSTILE})
     page = Reader(ail.report(run, tmp_path / "page.html", episodes=1, video=False))
     require_harmless(page)
     assert page.text.count(HOSTILE) >= 6
-    assert r"\ud800" in page.text
 
 
 def test_a_sweep(tmp_path: Path) -> None:

@@ -101,6 +101,8 @@ def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, 
         value = json.loads(read_small(path, limit))
         if not isinstance(value, dict):
             raise ValueError("it is no JSON object")
+        # JSON can hold halves of characters, which no other file can.
+        json.dumps(value, ensure_ascii=False).encode()
     except UserError:
         raise
     except (ValueError, RecursionError) as error:

@@ -36,9 +36,10 @@ def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
     assert errors == [f"{tmp_path / 'pipe.npz'} is not a file"]
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"[]", b"[" * 10**5, b'{"a": ' * 10**5, b"9" * 5000, b" " * 2**21, b"\xff{}"]
-)
+NO_OBJECTS = [b"", b"[]", b"9" * 5000, b" " * 2**21, b"\xff{}", b'{"a": "\\ud800"}']
+
+
+@pytest.mark.parametrize("content", [*NO_OBJECTS, b"[" * 10**5, b'{"a": ' * 10**5])
 def test_what_is_no_json_object_is_one_line(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "file.json").write_bytes(content)
     with pytest.raises(UserError, match="is not a greeting: ") as caught:

@@ -23,7 +23,7 @@ from ailsrs_jax.runs.tracking import read_rows
 from tests.runs import toy_run
 
 NUM_KILLS = 50
-NUM_ITERATIONS = 300
+NUM_ITERATIONS = 1500  # more than a fast machine does between the kills
 MANY = 100_000  # more than anybody waits for
 
 
@@ -142,7 +142,11 @@ def test_killed_fifty_times_is_bitwise_the_same(start, tmp_path: Path) -> None:
         process = start(output, NUM_ITERATIONS, 3)
         moment = next(moments)
         if moment == "starting" and number > 4:
-            time.sleep(rng.uniform(0, 10))
+            end = time.monotonic() + rng.uniform(0, 10)
+            wait_until(
+                process,
+                lambda end=end, target=target: time.monotonic() > end or num_rows(output) >= target,
+            )
         else:
             # Rows that were lost are written again first.
             wait_until(process, lambda target=target: num_rows(output) >= target)

@@ -168,6 +168,10 @@ class Checkpoints:
         if (directory / HASHES).read_text() != _hashes(directory):
             raise ValueError(f"its files are not those of {HASHES}")
         abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, _pack(like))
+        with ocp.StandardCheckpointer() as reader:
+            saved = reader.metadata(directory / "state").item_metadata.tree
+        if _shapes(saved) != _shapes(abstract):  # Orbax's threads would stumble, and go on for long
+            raise ValueError("its state has other arrays")
         restored = self._manager.restore(
             num_done,
             args=ocp.args.Composite(
@@ -218,6 +222,16 @@ def _hashes(directory: Path) -> str:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
             lines.append(f"{digest}  {path.relative_to(directory)}\n")
     return "".join(lines)
+
+
+def _shapes(tree: Any) -> dict[str, Any]:
+    """The shape and type of each array, by its name: Orbax reads named tuples as dictionaries."""
+    leaves, _ = jax.tree.flatten_with_path(tree)
+    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves)
+    return {
+        name: (leaf.shape, jnp.dtype(leaf.dtype))
+        for name, (_, leaf) in zip(names, leaves, strict=True)
+    }
 
 
 def _is_key(x: jax.Array) -> bool:

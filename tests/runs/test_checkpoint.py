@@ -1,6 +1,5 @@
 """Checkpoints on disks and in processes that fail."""
 
-import gc
 import logging
 import os
 import resource
@@ -22,7 +21,7 @@ from ailsrs_jax.runs.checkpoint import HASHES, Checkpoints
 
 def make_state(value: float = 0.0, size: int = 6) -> dict[str, Any]:
     return {
-        "weights": jnp.full((2, size), value),
+        "weights": jnp.full((2, size), float(value)),
         "key": jax.random.key(int(value)),
         "steps": np.array([2**40 + int(value)]),
     }
@@ -122,11 +121,20 @@ def test_one_that_was_never_finished_is_passed_over(copy: Path, caplog) -> None:
     assert not caplog.records
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_whoever_has_another_state_is_told(copy: Path) -> None:
-    with Checkpoints(copy, 1) as checkpoints, pytest.raises(UserError, match="can be read"):
-        checkpoints.restore(make_state(size=7))
-    gc.collect()  # what Orbax's threads leave behind
+@pytest.mark.parametrize(
+    "other",
+    [
+        make_state(size=7),
+        {**make_state(), "weights": jnp.zeros((2, 6), jnp.int32)},
+        {**make_state(), "more": np.zeros(1)},
+        {"weights": make_state()["weights"]},
+    ],
+    ids=["size", "type", "more", "fewer"],
+)
+def test_whoever_has_another_state_is_told(other: dict[str, Any], copy: Path, capfd) -> None:
+    with Checkpoints(copy, 1) as checkpoints, pytest.raises(UserError, match="has other arrays"):
+        checkpoints.restore(other)
+    assert capfd.readouterr().err == ""
 
 
 def test_numbers_tell_the_newest_whatever_the_clock_says(tmp_path: Path, monkeypatch) -> None:

@@ -5,6 +5,7 @@ Both work in place on rows of ``states (B, s)``, float64 in the layout of the po
 ``mjData`` that is read.
 """
 
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -51,12 +52,18 @@ class SteppingPool:
     ) -> None:
         self._model = model
         self._frame_skip = frame_skip
+        self._readings = readings
         self._reads_forces = "cfrc_ext" in readings
-        self._data = [mujoco.MjData(model) for _ in range(num_threads)]
+        self._num_threads = num_threads
+        self._own = threading.local()  # what a thread simulates with
+        self._threads = ThreadPoolExecutor(num_threads, initializer=self._set_up_thread)
+
+    def _set_up_thread(self) -> None:
+        """Give this thread its ``mjData``: an interrupted call can overlap the one after it."""
+        self._own.data = mujoco.MjData(self._model)
         # MuJoCo's fields never move: looking them up anew for every simulation would cost more
         # than copying them.
-        self._fields = [{name: getattr(data, name) for name in readings} for data in self._data]
-        self._threads = ThreadPoolExecutor(num_threads)
+        self._own.fields = {name: getattr(self._own.data, name) for name in self._readings}
 
     def start(self, states: np.ndarray, readings: Readings) -> None:
         """Set each simulation up as ``MujocoEnv.reset`` does: no force has acted yet."""
@@ -92,11 +99,12 @@ class SteppingPool:
         # Shared: whichever thread is free takes the next, one at a time thanks to the GIL.
         waiting = iter(rows.tolist())
 
-        def run(data: mujoco.MjData, fields: Readings) -> None:
+        def run(_: int) -> None:
+            data, fields = self._own.data, self._own.fields
             for row in waiting:
                 simulate(data, row)
                 mujoco.mj_getState(self._model, data, states[row], self.state_spec)
                 for name, values in readings.items():
                     values[row] = fields[name]
 
-        list(self._threads.map(run, self._data, self._fields))  # raises what they raise
+        list(self._threads.map(run, range(self._num_threads)))  # raises what they raise

@@ -18,7 +18,7 @@ from ailsrs_jax.runs.journal import Journal
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.run import CHECKPOINT_EVERY, Plan, Result, Watch
 from ailsrs_jax.runs.tracked import tracked
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.tracking import IterationReport, read_metrics, require_most_finite
 from ailsrs_jax.trainers.expert import Expert
 from ailsrs_jax.trainers.trainer import Trainer
 
@@ -90,7 +90,6 @@ def execute_stack(
             metrics["env_steps"] = jnp.where(state.finished, 0, metrics["env_steps"])
         return new_state, metrics
 
-    problems: dict[int, UserError] = {}
     with ExitStack() as stack:
         for plan, output in zip(plans, outputs, strict=True):
             resume = (output / "config.json").exists()
@@ -100,9 +99,11 @@ def execute_stack(
         progress = {"state": state, "steps": np.zeros(len(plans), np.int64)}
         checkpoints = stack.enter_context(Checkpoints(checkpoint_directory, CHECKPOINT_EVERY))
         num_done, progress, _ = checkpoints.restore(progress)
-        journals = [
-            Journal(output, plan.config, num_done, progress["steps"][index : index + 1])
-            for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
+        journals = [  # of a run that was finished before the others no more rows are expected
+            Journal(output, plan.config, int(mine), progress["steps"][index : index + 1])
+            for index, (plan, output, mine) in enumerate(
+                zip(plans, outputs, progress["state"].iteration, strict=True)
+            )
         ]
         tracker = stack.enter_context(tracked(track, outputs))
         waiting = _finished(progress["state"], len(plans))
@@ -121,10 +122,6 @@ def execute_stack(
                 mine = _part_of_report(report, index)
                 journals[index].append(mine, to_disk=save)
                 watches[index](mine)
-                try:
-                    mine.require_most_finite()
-                except UserError as error:
-                    problems.setdefault(index, error)
             if save:
                 checkpoints.save(report.iteration + 1, progress)
             if tracker is not None:
@@ -136,8 +133,7 @@ def execute_stack(
             waiting = _finished(state, len(plans))
 
         return [
-            problems.get(index)
-            or _result(plan, output, jax.tree.map(lambda x, i=index: x[i : i + 1], progress))
+            _result(plan, output, jax.tree.map(lambda x, i=index: x[i : i + 1], progress))
             for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
         ]
 
@@ -204,8 +200,15 @@ def _part_of_report(report: IterationReport, index: int) -> IterationReport:
     return dataclasses.replace(report, metrics=metrics)
 
 
-def _result(plan: Plan, output: Path, progress: dict[str, Any]) -> Result:
+def _result(plan: Plan, output: Path, progress: dict[str, Any]) -> Result | UserError:
     """Of one run; its checkpoint and policy are written as if it had been alone."""
+    metrics = read_metrics(output / "metrics.csv")  # which know what happened before a resume, too
+    columns = (metrics[name].astype(int) for name in ("iteration", "episodes", "diverged"))
+    for row in zip(*columns, strict=True):
+        try:
+            require_most_finite(*row)
+        except UserError as error:
+            return error
     config, state = plan.config, progress["state"]
     (seed,) = config.seeds
     directory = output / "checkpoints"

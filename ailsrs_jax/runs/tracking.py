@@ -31,15 +31,20 @@ class IterationReport:
         return self.finished or self.iteration + 1 == self.num_iterations
 
     def require_most_finite(self) -> None:
-        """Raise UserError if most of the episodes diverged: there is hardly anything to learn."""
+        """Raise UserError if most of the episodes diverged, of all seeds together."""
         episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
-        if 2 * diverged > episodes:
-            raise UserError(
-                f"stopped: {diverged} of {episodes} episodes of iteration {self.iteration} "
-                "diverged (observations, actions or rewards that are not finite, or beyond 1e10): "
-                "the physics is unstable under these policies; a smaller timestep or noise_std, or "
-                "less stiffness or gain in the model, may help"
-            )
+        require_most_finite(self.iteration, episodes, diverged)
+
+
+def require_most_finite(iteration: int, episodes: int, diverged: int) -> None:
+    """Raise UserError if most of the episodes diverged: there is hardly anything to learn."""
+    if 2 * diverged > episodes:
+        raise UserError(
+            f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
+            "(observations, actions or rewards that are not finite, or beyond 1e10): the physics "
+            "is unstable under these policies; a smaller timestep or noise_std, or less stiffness "
+            "or gain in the model, may help"
+        )
 
 
 class MetricsFile:
@@ -96,7 +101,8 @@ def read_rows(path: Path) -> list[list[str]]:
     """
     require_file(path)
     try:
-        rows = list(csv.reader(path.read_text().splitlines()))
+        with path.open(newline="") as file:  # a text may hold what splitlines takes for an end
+            rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"cannot read {path}: {one_line(error)}") from error
     if not rows:

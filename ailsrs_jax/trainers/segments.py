@@ -1,5 +1,8 @@
 """Steps of a stochastic policy in environments that go on from one batch to the next."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -64,6 +67,7 @@ def collect(
     """
     num_envs = len(episodes.time)
     shape = (num_envs, *policy.action_std.shape)
+    restart = _make_restart(env)
 
     def advance(episodes: Episodes, key: jax.Array) -> tuple[Episodes, Steps]:
         noise_key, reset_key = jax.random.split(key)
@@ -87,18 +91,42 @@ def collect(
             copied=diverged,
         )
 
-        def restart() -> State:
-            return jax.tree.map(
-                lambda new, old: jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), new, old),
-                begin(env, reset_key, num_envs).env_state,
-                next_state,
-            )
-
-        next_state = jax.lax.cond(over.any(), restart, lambda: next_state)
+        next_state = restart(over, jax.random.split(reset_key, num_envs), next_state)
         return Episodes(next_state, jnp.where(over, 0, time)), steps
 
     episodes, steps = jax.lax.scan(advance, episodes, jax.random.split(key, num_steps))
     return episodes, _replace_diverged(steps)
+
+
+def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
+    """A function of ``over (S,)``, keys and states that resets the environments that are over.
+
+    Where none is, nothing is computed. Under ``jax.vmap`` the new axis is merged into the
+    environments, because there the branches of a ``cond`` would both be computed at every step.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def restart(over: jax.Array, keys: jax.Array, states: State) -> State:
+        def reset() -> State:
+            return jax.tree.map(
+                lambda new, old: jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), new, old),
+                jax.vmap(env.reset)(keys),
+                states,
+            )
+
+        return jax.lax.cond(over.any(), reset, lambda: states)
+
+    @restart.def_vmap
+    def _merge_axes(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[State, Any]:
+        def merge(batched: bool, x: jax.Array) -> jax.Array:
+            x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
+            return x.reshape(-1, *x.shape[2:])
+
+        merged = restart(*jax.tree.map(merge, tuple(in_batched), arguments))
+        states = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), merged)
+        return states, jax.tree.map(lambda _: True, states)
+
+    return restart
 
 
 def _replace_diverged(steps: Steps) -> Steps:

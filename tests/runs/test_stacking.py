@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
 from ailsrs_jax.runs.stacking import execute_stack, stack_key
 from ailsrs_jax.trainers.devices import ONE_DEVICE
+from tests.exploding import ExplodingPointMass
 from tests.point_mass import PointMass
 from tests.runs.test_algorithms import TINY
 from tests.runs.test_tracking import require_events
@@ -98,6 +100,75 @@ def test_stacked_runs_are_those_alone(
             np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-3, atol=1e-5)
         for name in ("iteration", "seed", "env_steps", "evaluation_length"):
             np.testing.assert_array_equal(ours[name], theirs[name])
+
+
+def test_a_stack_goes_on_where_some_are_finished(
+    point_mass: PointMass, point_mass_expert: Demonstrations, tmp_path: Path
+) -> None:
+    cells = [
+        dataclasses.replace(
+            run.make_plan(
+                point_mass,
+                point_mass_expert,
+                None,
+                (0,),
+                "tuned",
+                "auto",
+                {"num_iterations": "30", "patience": "1", "learning_rate": str(rate)},
+                algorithm="bc",
+            ),
+            devices=ONE_DEVICE,
+        )
+        for rate in (1e-3, 0.3)
+    ]
+
+    def train(name: str, stop_after: int = 100) -> list[Any]:
+        calls = iter(range(stop_after))
+        return execute_stack(
+            cells,
+            [tmp_path / name / str(index) for index in range(2)],
+            tmp_path / name / "stack",
+            [lambda report: None] * 2,
+            stop=lambda: next(calls, None) is None,
+        )
+
+    whole = train("whole")
+    slow, fast = (len(metrics(tmp_path / "whole" / str(index))["iteration"]) for index in range(2))
+    assert fast + 2 < slow
+    with pytest.raises(KeyboardInterrupt):
+        train("stopped", stop_after=fast + 1)
+    for index, resumed in enumerate(train("stopped")):
+        paths = (tmp_path / name / str(index) / "metrics.csv" for name in ("whole", "stopped"))
+        assert len({path.read_bytes() for path in paths}) == 1
+        np.testing.assert_array_equal(resumed.policies[0].weights, whole[index].policies[0].weights)
+
+
+def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -> None:
+    settings = {name: str(value) for name, value in TINY["ars"].items()}
+    env = ExplodingPointMass(share=0.45)
+    cells = [
+        dataclasses.replace(
+            run.make_plan(env, None, None, (seed,), "tuned", "auto", settings, algorithm="ars"),
+            devices=ONE_DEVICE,
+        )
+        for seed in range(4)
+    ]
+    outputs = [tmp_path / str(seed) for seed in range(4)]
+
+    def outcomes() -> list[str]:
+        results = execute_stack(cells, outputs, tmp_path / "stack", [lambda report: None] * 4)
+        return [str(result) if isinstance(result, UserError) else "done" for result in results]
+
+    alone = []
+    for plan in cells:
+        try:
+            run.execute(plan, tmp_path / "alone" / str(plan.config.seeds[0]))
+            alone.append("done")
+        except UserError as error:
+            alone.append(str(error))
+    assert 0 < alone.count("done") < 4
+    assert outcomes() == alone
+    assert outcomes() == alone  # although nothing is trained any more
 
 
 def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:

@@ -85,3 +85,27 @@ def test_seeds_beside_one_another_are_those_alone() -> None:
             together,
             alone,
         )
+
+
+def test_nothing_is_reset_while_no_episode_is_over() -> None:
+    """Beside other seeds too, where each branch of a condition would be computed."""
+    resets = []
+
+    class Counting(PointMass):
+        def reset(self, rng):
+            jax.debug.callback(lambda: resets.append(1))
+            return super().reset(rng)
+
+    env = Counting()
+
+    def run(seed: jax.Array) -> segments.Steps:
+        key = jax.random.key(seed)
+        return segments.collect(
+            env, some_policy(0.0, 0.0), segments.begin(env, key, 3), key, 25, 10
+        )[1]
+
+    steps = jax.jit(jax.vmap(run))(jnp.arange(2))
+    jax.block_until_ready(steps)
+    jax.effects_barrier()
+    assert np.flatnonzero(np.asarray(steps.over).any(axis=(0, 2))).tolist() == [9, 19]
+    assert len(resets) == 3  # of all environments: at first, and after each end

@@ -100,7 +100,6 @@ def train(
         distributed: One run on the devices of all processes of a SLURM, Open MPI, Kubernetes or
             Cloud TPU job, each of which is started with the same command.
     """
-    from ailsrs_jax.plotting import plot_training_curve
     from ailsrs_jax.progress import RunProgress, evaluate_kept, print_results, results_fields
     from ailsrs_jax.runs import run
     from ailsrs_jax.runs.algorithms import find_algorithm
@@ -172,6 +171,8 @@ def train(
     if config.num_trajectories:
         title += f" from {config.num_trajectories} demonstrations"
     try:
+        from ailsrs_jax.plotting import plot_training_curve
+
         plot_training_curve(output, title, result)
     except ImportError:
         console.print("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
@@ -200,7 +201,7 @@ def main() -> None:
         tyro._experimental_options["ansi_codes"] = False
     try:
         require_command(sys.argv[1:])
-        # Flags have no opposites: none of them is on by default.
+        # Flags have no opposites: none of them is on without being asked for.
         app.cli(
             prog="ailsrs",
             description=importlib.metadata.metadata("ailsrs_jax")["Summary"],

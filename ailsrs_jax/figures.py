@@ -3,7 +3,7 @@
 import itertools
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from ailsrs_jax.runs.statistics import (
 )
 from ailsrs_jax.runs.sweep_results import SweepResults
 
+LONGEST_SLUG = 100  # characters of a series in the name of a file
 WIDTH = 7.16  # [in] of a page with two columns
 STYLE: dict[Any, Any] = {
     "font.size": 8,
@@ -122,7 +123,8 @@ def draw_training_curves(results: SweepResults, groups: Sequence[Group], directo
     With the most demonstrations there are. Thin lines are raw, thick ones smoothed by a Gaussian
     filter. Seeds are taken in their order; none is left out.
     """
-    for name in dict.fromkeys(group.series for group in groups):
+    slugs = _slugs(dict.fromkeys(group.series for group in groups))
+    for name in slugs:
         chosen: dict[str, Group] = {}
         for group in sorted(
             (group for group in groups if group.series == name),
@@ -155,7 +157,7 @@ def draw_training_curves(results: SweepResults, groups: Sequence[Group], directo
             given = f" ({trajectories} demonstrations)" if trajectories else ""
             axes.set(title=task, xlabel=f"iteration{given}", ylabel="return")
         _add_legend(figure, panels.values(), title=f"{name} · thin raw, thick smoothed")
-        _save(figure, directory / f"figure_3_{_slug(name)}")
+        _save(figure, directory / f"figure_3_{slugs[name]}")
 
 
 def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
@@ -290,8 +292,15 @@ def _add_legend(figure: Figure, panels: Any, title: str | None = None) -> None:
     )
 
 
-def _slug(name: str) -> str:
-    return re.sub(r"\W+", "_", name.lower()).strip("_")
+def _slugs(names: Iterable[str]) -> dict[str, str]:
+    """Each name as a part of a file's: as it is, nearly, with a number where that is taken."""
+    slugs: dict[str, str] = {}
+    for name in names:
+        plain = re.sub(r"\W+", "_", name.lower()).strip("_")[:LONGEST_SLUG]
+        numbered = (f"{plain}_{number}" for number in itertools.count(2))
+        taken = slugs.values()
+        slugs[name] = next(slug for slug in itertools.chain([plain], numbered) if slug not in taken)
+    return slugs
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -72,7 +72,7 @@ def report(
     directory: Positional[Annotated[Path, arg(metavar="DIR")]],
     output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
     episodes: int = 100,
-    video: bool = True,
+    no_video: Flag = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -86,7 +86,7 @@ def report(
         directory: A run directory or a sweep's, finished or not.
         output: The page; by default report.html in the directory.
         episodes: Of each policy of a run, to measure its return.
-        video: Show the policies, which takes the most time.
+        no_video: Leave out the video of the policies, which takes the most time.
     """
     try:
         from ailsrs_jax import html_report
@@ -95,7 +95,7 @@ def report(
 
     console = make_console(quiet=quiet, as_json=as_json)
     with console.status("writing the report"):
-        path = html_report.report(directory, output, episodes=episodes, video=video)
+        path = html_report.report(directory, output, episodes=episodes, video=not no_video)
     console.print(escape(str(path)), soft_wrap=True)
     if as_json:
         print_json({"output": str(path)})

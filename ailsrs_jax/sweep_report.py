@@ -110,7 +110,7 @@ def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
 def _aggregate_tables(groups: Sequence[Group]) -> list[Table]:
     """The interquartile means over all tasks, where they can be compared."""
     common = comparable(groups)
-    if not groups or not all(common.values()):
+    if not common or not all(common.values()):
         return []
     rows = [
         [

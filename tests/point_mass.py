@@ -12,6 +12,7 @@ from ailsrs_jax.trainers.rollout import rollout
 TIME_STEP = 0.1
 EXPERT_WEIGHTS = np.array([[-0.4, -0.6]], np.float32)  # a damped spring, too weak to saturate
 EPISODE_LENGTH = 60
+WIDE_OBSERVATION, WIDE_ACTION = 100, 10
 
 
 class PointMass(Env):
@@ -32,6 +33,34 @@ class PointMass(Env):
         done = (jnp.abs(position) > 3.0).astype(jnp.float32)
         reward = -jnp.square(position)
         return state.replace(obs=jnp.stack([position, velocity]), reward=reward, done=done)
+
+
+class WidePointMass(PointMass):
+    """Whose observations and actions are as wide as a robot's; the rest of them counts nothing."""
+
+    observation_size = WIDE_OBSERVATION
+    action_size = WIDE_ACTION
+
+    def reset(self, rng: jax.Array) -> State:
+        return self._widen(super().reset(rng))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self._widen(super().step(state.replace(obs=state.obs[:2]), action))
+
+    def _widen(self, state: State) -> State:
+        return state.replace(obs=jnp.pad(state.obs, (0, WIDE_OBSERVATION - 2)))
+
+
+def wide_demonstrations() -> Demonstrations:
+    """Two episodes of noise."""
+    rng = np.random.default_rng(0)
+    return Demonstrations(
+        observations=rng.normal(size=(2, 50, WIDE_OBSERVATION)).astype(np.float32),
+        actions=rng.normal(size=(2, 50, WIDE_ACTION)).astype(np.float32),
+        lengths=np.array([50, 50]),
+        returns=np.zeros(2, np.float32),
+        env_id="wide",
+    )
 
 
 def expert_policy() -> LinearPolicy:

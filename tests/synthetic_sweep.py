@@ -1,7 +1,7 @@
 """The tables that a sweep leaves, filled with made-up numbers."""
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ TASKS = {  # random and expert return
 }
 HARD_TASKS = {"Ant-v5": (-50.0, 6000.0), "Humanoid-v5": (120.0, 7000.0)}
 COLUMNS = (
-    *("cell", "label", "algorithm", "env_id", "preset", "settings", "num_trajectories", "seed"),
+    *("cell", "label", "algorithm", "env_id", "preset", "settings"),
+    *("demonstrations", "num_trajectories", "subsample", "seed"),
     *("physics", "iterations", "env_steps", "kept_iteration", "return_mean", "return_std"),
     *("length_mean", "last_return", "mean_return_over_training", "steps_to_90"),
     *("expert_return", "random_return", "normalized", "status"),
@@ -53,7 +54,9 @@ def row(
         "env_id": env_id,
         "preset": "tuned",
         "settings": "",
+        "demonstrations": "",
         "num_trajectories": num_trajectories,
+        "subsample": 1,
         "seed": seed,
         "physics": "mujoco",
         "iterations": 40,
@@ -117,28 +120,3 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[dict[str, Any
         writer = csv.DictWriter(file, columns, "", "ignore", lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-
-
-def paper_sweep(score: Callable[[str, str, int, int], float] | None = None) -> list[dict[str, Any]]:
-    """Figure 2's grid with five seeds; ``score`` takes label, task, trajectories and seed."""
-    generator = np.random.default_rng(1)
-
-    def likely(label: str, env_id: str, number: int, _: int) -> float:
-        level = {"BC": 0.25 + 0.016 * number, "GAIL": 0.95, "AILSRS": 0.98}[label]
-        spread = {"BC": 0.09, "GAIL": 0.05, "AILSRS": 0.03}[label]
-        return level + spread * generator.standard_normal() - 0.1 * (env_id == "Walker2d-v5")
-
-    score = score or likely
-    return [
-        row(
-            score(label, env_id, number, seed),
-            label=label,
-            env_id=env_id,
-            num_trajectories=number,
-            seed=seed,
-        )
-        for label in ("BC", "GAIL", "AILSRS")
-        for env_id in TASKS
-        for number in (10, 20, 30, 40)
-        for seed in range(5)
-    ]

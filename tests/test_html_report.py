@@ -115,7 +115,7 @@ def test_a_run(tmp_path: Path) -> None:
         f"0 {evaluation} 1000 1 0.250 0.400 0.600 -12",
         "3 – – 2 0.700 0.500 0.500 -15",
         f"ailsrs train {POINT_MASS} --demonstrations mine.npz --num-trajectories 8 --seeds 0 3 "
-        "--physics none --set noise_std=0.05",
+        "--set noise_std=0.05",
         "it is not simulated by MuJoCo, so there is no model to draw",
         "numpy " + np.__version__,
     ):
@@ -181,10 +181,11 @@ def test_a_command_makes_the_same_run_again(tmp_path: Path) -> None:
         "demonstrations": "of the expert that ships with the package",
         "num_trajectories": 10,
         "preset": "paper",
+        "physics": "mujoco",
         "settings": dataclasses.asdict(preset_settings("Hopper-v5", "paper")),
     }
     run = read_run(write_run(tmp_path / "shipped", **shipped))
-    assert run.command() == "ailsrs train hopper --seeds 0 3 --preset paper --physics none"
+    assert run.command() == "ailsrs train hopper --seeds 0 3 --preset paper --physics mujoco"
     cut = {"demonstrations": "my data (3 cut off, left out)", "subsample": 20}
     command = read_run(write_run(tmp_path / "cut", **cut)).command() or ""
     assert "--demonstrations 'my data' --num-trajectories 8 --subsample 20" in command

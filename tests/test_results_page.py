@@ -11,7 +11,7 @@ import pytest
 from ailsrs_jax.errors import UserError
 from tests.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
-pytest.importorskip("experiments.results", reason="source archives have no experiments")
+pytest.importorskip("experiments.results", reason="the package is installed without them")
 from experiments import results
 from experiments.claims import CLAIMS
 from experiments.evidence import (

@@ -23,13 +23,12 @@ def test_its_evaluation_is_ours() -> None:
     assert mean == pytest.approx(ours.mean, abs=3.0)
     assert std == pytest.approx(ours.std, abs=5.0)
 
-    drawn = []
-    for _ in range(2):
-        set_random_seed(0)
-        envs = make_vec_env("Swimmer-v5", n_envs=2, seed=0)
+    policy, drawn = load_policy(expert_path("Hopper-v5")), []
+    for seed in (0, 0, 1):
+        set_random_seed(seed)
+        envs = make_vec_env("Hopper-v5", n_envs=2, seed=0)
         drawn.append(evaluate_policy(policy, envs, n_eval_episodes=2, deterministic=False)[0])
-    assert drawn[0] == drawn[1]
-    assert np.isfinite(drawn[0])
+    assert drawn[0] == drawn[1] != drawn[2]
 
 
 def test_one_episode_by_hand() -> None:

@@ -73,9 +73,22 @@ def test_returns_without_an_expert_are_still_reported(tmp_path: Path) -> None:
     report_sweep(write_sweep(tmp_path, rows))
     table = (tmp_path / "table.md").read_text()
     assert "| AILSRS | – | 1 of 1 | 1629 | – | – | 1629 | – | – (0 of 1) |" in table
-    assert "| AILSRS | 1 of 1 | – | – |" in table
+    assert "Interquartile" not in table
     drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert drawn == {"figure_3_ailsrs"}
+
+
+def test_a_series_without_an_expert_does_not_decide_what_is_compared(tmp_path: Path) -> None:
+    rows = [row(0.5), row(0.7, label="BC")]
+    rows.append(row(0.5, label="ARS", env_id="Swimmer-v5", num_trajectories="", normalized=""))
+    report_sweep(write_sweep(tmp_path, rows))
+    assert "Interquartile means over 1 condition\n" in (tmp_path / "table.md").read_text()
+
+
+def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> None:
+    report_sweep(write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")]))
+    drawn = {path.stem for path in (tmp_path / "figures").glob("figure_3*")}
+    assert drawn == {"figure_3_x_1", "figure_3_x_1_2"}
 
 
 def test_without_matplotlib_there_are_tables_and_one_line(

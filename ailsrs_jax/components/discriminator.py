@@ -4,7 +4,7 @@ Convention, here and everywhere: the score D(s, a) = sigmoid(logit) is the judge
 a step is the expert's. The expert's label is 1 (the paper's b) and the policy's is 0 (its a).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -16,16 +16,17 @@ POLICY_LABEL = 0.0
 LogitFunction = Callable[[jax.Array], jax.Array]  # inputs (..., d) → logits (...)
 
 
-class Discriminator(nn.Module):
-    """Multilayer perceptron with tanh units; the paper has two hidden layers of 100."""
+HIDDEN_SIZES = (100, 100)
 
-    hidden_sizes: Sequence[int] = (100, 100)
+
+class Discriminator(nn.Module):
+    """The paper's multilayer perceptron: two hidden layers of 100 tanh units."""
 
     @nn.compact
     def __call__(self, inputs: jax.Array) -> jax.Array:
         """Logits ``(...)`` of inputs ``(..., d)``; expert-like is high."""
         hidden = inputs
-        for size in self.hidden_sizes:
+        for size in HIDDEN_SIZES:
             hidden = nn.tanh(nn.Dense(size)(hidden))
         logits: jax.Array = nn.Dense(1)(hidden).squeeze(-1)
         return logits

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-# Below this, relative to the magnitude of the mean, a standard deviation in float32 is rounding.
+# Below so many times 1 + |mean|, a standard deviation in float32 is rounding.
 MIN_RELATIVE_STD = 1e-6
 
 

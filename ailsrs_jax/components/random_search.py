@@ -61,7 +61,8 @@ def step(
     lowest = jnp.min(pairs, where=finite, initial=jnp.inf)
     pairs = jnp.where(finite, pairs, jnp.where(finite.any(), lowest, 0.0))
     (returns_plus, returns_minus), deltas = pairs[:, top], deltas[top]
-    gradient = jnp.einsum("i,i...->...", returns_plus - returns_minus, deltas)
+    differences = returns_plus - returns_minus
+    gradient = jnp.einsum("i,i...->...", differences, deltas, precision="highest")  # not TF32
     if scale_by_std:
         used = jnp.concatenate([returns_plus, returns_minus])
         std = jnp.std(used)

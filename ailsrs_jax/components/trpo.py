@@ -63,7 +63,7 @@ def gaussian_log_density(actions: jax.Array, means: jax.Array, log_std: jax.Arra
 def gaussian_divergence(
     means: jax.Array, log_std: jax.Array, other_means: jax.Array, other_log_std: jax.Array
 ) -> jax.Array:
-    """``(...)`` KL divergence in nats of the second Gaussian, diagonal like the first, from it."""
+    """``(...)`` KL(first ‖ other), in nats, of diagonal Gaussians."""
     variance, other_variance = jnp.exp(2.0 * log_std), jnp.exp(2.0 * other_log_std)
     squares = (variance + jnp.square(means - other_means)) / (2.0 * other_variance)
     return jnp.sum(other_log_std - log_std + squares - 0.5, axis=-1)

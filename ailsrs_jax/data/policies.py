@@ -287,7 +287,8 @@ def policy_files(path: Path) -> list[Path]:
     """
     try:
         names = ("policy.npz", "seed_*/policy.npz")
-        found = sorted(file for name in names for file in path.glob(name))
+        found = [file for name in names for file in path.glob(name)]
+        found.sort(key=lambda file: (len(file.parent.name), file.parent.name))  # 2 before 10
         paths = found if path.is_dir() else [path]
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from error

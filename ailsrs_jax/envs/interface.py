@@ -52,8 +52,7 @@ def require_env(env: Any) -> None:
     require(scalars == ((), ()), f"reward and done have the shapes {scalars}, not those of scalars")
     changed = _changed_types(state, next_state)
     require(not changed, f"step changes the shape or type of the state's {', '.join(changed)}")
-    low = np.asarray(getattr(env, "action_low", -np.ones(p)))
-    high = np.asarray(getattr(env, "action_high", np.ones(p)))
+    low, high = map(np.asarray, action_range(env))
     require(
         low.shape == high.shape == (p,) and bool(np.all((low < high) & np.isfinite(high - low))),
         f"its {p} actions go from {low.tolist()} to {high.tolist()}: give each its range "
@@ -91,3 +90,10 @@ def _changed_types(state: State, next_state: State) -> list[str]:
         # A plain Python number has a weak type, which JAX adapts.
         or (before[name].dtype != after[name].dtype and not before[name].weak_type)
     ]
+
+
+def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
+    """Lowest and highest action ``(p,)``; Brax's environments take actions from −1 to 1."""
+    ones = jnp.ones(env.action_size)
+    low, high = getattr(env, "action_low", -ones), getattr(env, "action_high", ones)
+    return jnp.asarray(low), jnp.asarray(high)

@@ -107,6 +107,15 @@ def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
     return OpenEnv(task, env_id, _engine(task), reason)
 
 
+def takes_physics(name: str) -> bool:
+    """Whether it is for the caller to choose the physics engine of the task ``name``.
+
+    Raises:
+        UserError: there is no such task.
+    """
+    return _takes_physics(_factory(resolve_env_id(name)))
+
+
 def require_harmless(env_id: str, source: str) -> None:
     """Raise UserError unless ``env_id``, as a file names it, is safe to look up and to call.
 

@@ -70,7 +70,7 @@ class Checkpoints:
                     cleanup_tmp_directories=True,  # those of killed processes
                 ),
             )
-            self._newest = max(self._manager.all_steps(), default=None)
+            self._newest = max(filter(self._is_whole, self._manager.all_steps()), default=None)
         except OSError as error:
             raise self._cannot_write(error) from error
 
@@ -136,8 +136,8 @@ class Checkpoints:
         problems: dict[int, Exception] = {}
         restored = Restored(0, like, {})
         for num_done in sorted(self._manager.all_steps(), reverse=True):
-            if not (self._directory / str(num_done) / HASHES).exists():
-                continue  # the process was killed before it was whole
+            if not self._is_whole(num_done):
+                continue  # the process was killed before it was
             try:
                 restored = self._read(num_done, like)
                 break
@@ -162,6 +162,9 @@ class Checkpoints:
                 self._manager.delete(num_done)
         self._newest = restored.num_done or None
         return restored
+
+    def _is_whole(self, num_done: int) -> bool:
+        return (self._directory / str(num_done) / HASHES).exists()
 
     def _read(self, num_done: int, like: Any) -> Restored:
         directory = self._directory / str(num_done)

@@ -10,13 +10,13 @@ import numpy as np
 from ailsrs_jax.components.policy import LinearPolicy, repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.config import require_seed
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.rollout import rollout
 
 EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 

@@ -1,5 +1,6 @@
 """Taking a policy away: as one file, or as a directory to publish."""
 
+import os
 from pathlib import Path
 
 from ailsrs_jax.data.files import require_writable, write_atomically
@@ -61,7 +62,8 @@ def export(
         path = _only_policy(Path(source))
         source = load_policy(path)
     require_license(license_id)
-    if output.suffix and not output.is_dir():
+    is_directory = os.path.lexists(output) and output.is_dir()  # which raises of too long a name
+    if output.suffix and not is_directory:
         source.save(output)
         return None
     return _publish(source, path, output, num_episodes, physics, seed, env, license_id)

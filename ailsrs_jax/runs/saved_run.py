@@ -13,7 +13,13 @@ import numpy as np
 
 from ailsrs_jax.data.files import require_name
 from ailsrs_jax.data.sources import MINARI
-from ailsrs_jax.envs.registry import TASKS, require_harmless, resolve_env_id, short_name
+from ailsrs_jax.envs.registry import (
+    TASKS,
+    require_harmless,
+    resolve_env_id,
+    short_name,
+    takes_physics,
+)
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm
 from ailsrs_jax.runs.config import read_config, require_seed
@@ -98,7 +104,8 @@ class SavedRun:
         words += ["--seeds", *map(str, config["seeds"])]
         if config["preset"] != "tuned":
             words += ["--preset", config["preset"]]
-        words += ["--physics", config["physics"]]
+        if (physics := self._asked_physics()) != "auto":
+            words += ["--physics", physics]
         changed = self.changed_settings()
         if changed:
             words += ["--set", *(f"{name}={value}" for name, value in changed.items())]
@@ -123,7 +130,7 @@ class SavedRun:
                 config["num_trajectories"],
                 config["seeds"],
                 "paper",
-                config["physics"],
+                self._asked_physics(),
                 {},
                 subsample=config["subsample"],
                 algorithm="bc",
@@ -132,6 +139,15 @@ class SavedRun:
             if same and plan.demonstrations is not None:
                 return float(np.mean(plan.demonstrations.returns))
         return None
+
+    def _asked_physics(self) -> str:
+        """The engine, where it is for ``--physics`` to say: some tasks have one of their own."""
+        env_id: str = self.config["env_id"]
+        with contextlib.suppress(UserError):
+            require_harmless(env_id, str(self.directory))
+            if takes_physics(env_id):
+                return str(self.config["physics"])
+        return "auto"
 
     @property
     def _source(self) -> str | None:
@@ -161,6 +177,10 @@ def read_run(directory: Path) -> SavedRun:
     for name, value in (config["settings"] | config["versions"]).items():
         if not isinstance(value, bool | int | float | str):
             raise UserError(f"{path}: {reprlib.repr(name)} is {reprlib.repr(value)}, not a value")
+    if config["demonstrations"] is not None:
+        for name in ("num_trajectories", "subsample"):
+            if config[name] is None:
+                raise UserError(f"{path} is not the configuration of a run: {name} is missing")
     algorithm = find_algorithm(config["algorithm"])
     path = directory / "metrics.csv"
     metrics = read_metrics(path)

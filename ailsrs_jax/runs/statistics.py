@@ -60,8 +60,8 @@ class Group:
 def series_names(cells: Iterable[Cell]) -> dict[str, str]:
     """What each cell's series is called, by the cell's name.
 
-    It is the label, with the preset, the settings and the engine where cells of that label differ
-    in them on the same task with the same demonstrations.
+    It is the label, with the preset, the settings, the engine, the demonstrations and how they are
+    thinned out where cells of that label differ in them on the same task with as many of them.
     """
     cells = list(cells)
     variants: dict[tuple[str, str, int | None], set[tuple[str, ...]]] = {}
@@ -79,7 +79,13 @@ def series_names(cells: Iterable[Cell]) -> dict[str, str]:
 
 
 def _variant(cell: Cell) -> tuple[str, ...]:
-    return cell.preset, cell.settings.replace(";", ", ") or "as preset", cell.physics
+    return (
+        cell.preset,
+        cell.settings.replace(";", ", ") or "as preset",
+        cell.physics,
+        cell.demonstrations or "shipped expert",
+        f"subsample={cell.subsample}",
+    )
 
 
 def group_cells(cells: Iterable[Cell]) -> list[Group]:
@@ -101,8 +107,9 @@ def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
     """By series, the groups under the conditions that every series has been measured under.
 
     A condition is a task and a number of demonstrations. A series that has no demonstrations is
-    compared on the tasks alone.
+    compared on the tasks alone. Where there is no normalised return nothing has been measured.
     """
+    groups = [group for group in groups if scores([group])]
     by_series: dict[str, list[Group]] = {}
     for group in groups:
         by_series.setdefault(group.series, []).append(group)

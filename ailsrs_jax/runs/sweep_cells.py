@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ class Sweep:
         Raises:
             UserError: there is another one, or it cannot be written.
         """
-        if path.exists():
+        if os.path.lexists(path):  # Path.exists raises where a name is too long
             self.require_same(path)
             return
         text = json.dumps(dataclasses.asdict(self), indent=1)

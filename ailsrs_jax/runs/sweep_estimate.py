@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 
 from ailsrs_jax.components.policy import LinearPolicy, repeated
-from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.runs.algorithms import find_algorithm
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.rollout import rollout
 from ailsrs_jax.trainers.settings import override
 
 TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # of the measurement of speed

@@ -21,7 +21,9 @@ class Cell:
     env_id: str
     preset: str
     settings: str  # NAME=VALUE;NAME=VALUE of what differs from the preset
+    demonstrations: str  # what they are, if not the shipped expert's
     num_trajectories: int | None  # None where it learns from the environment's reward
+    subsample: int  # one step in so many of them
     seed: int
     physics: str
     iterations: float
@@ -92,7 +94,10 @@ _MEASURED = (
     *("iterations", "env_steps", "kept_iteration", "return_mean", "return_std", "length_mean"),
     "random_return",
 )
-_TEXT = ("cell", "label", "algorithm", "env_id", "preset", "settings", "physics", "status")
+_TEXT = (
+    *("cell", "label", "algorithm", "env_id", "preset", "settings", "demonstrations", "physics"),
+    "status",
+)
 
 
 def read_results(directory: Path) -> SweepResults:
@@ -119,15 +124,16 @@ def _cell(where: str, row: dict[str, str]) -> Cell:
     values: dict[str, Any] = {name: row[name] for name in _TEXT}
     for name in row.keys() - values.keys():
         values[name] = _number(where, name, row[name])
-    for name in ("seed", "num_trajectories"):
+    for name in ("seed", "num_trajectories", "subsample"):
         if math.isnan(values[name]):
             values[name] = None
         elif values[name] % 1:
             raise UserError(f"{where}: {name} is '{row[name]}', not a whole number")
         else:
             values[name] = int(values[name])
-    if values["seed"] is None:
-        raise UserError(f"{where}: there is no seed")
+    for name in ("seed", "subsample"):
+        if values[name] is None:
+            raise UserError(f"{where}: there is no {name}")
     cell = Cell(**values)
     if cell.done:
         for name in _MEASURED:

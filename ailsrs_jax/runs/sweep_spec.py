@@ -48,6 +48,7 @@ EPISODES = 100  # of each kept policy, in Gymnasium's own environment
 
 MOST_CELLS = 10_000  # more is a mistake, and would take hours to check
 
+LONGEST_LABEL = 80  # characters
 LONGEST_NAME = 100  # characters; with room for what files in a directory of that name are called
 
 
@@ -115,6 +116,10 @@ def _expand_entry(where: str, common: dict[str, Any], entry: Any) -> Iterator[Ce
     label = given.get("label")
     if not (label is None or isinstance(label, str)):
         raise UserError(f"{where}: label is {label!r}: it must be one text, for all of the entry")
+    if label is not None and not (label.isprintable() and 0 < len(label) <= LONGEST_LABEL):
+        raise UserError(
+            f"{where}: label is {label!r}: it must be of 1 to {LONGEST_LABEL} printable characters"
+        )
     tables = [table.get("settings", {}) for table in (common, entry)]
     for table in tables:
         if not isinstance(table, dict):

@@ -25,7 +25,8 @@ from ailsrs_jax.runs.tracking import IterationReport, read_rows
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 
 RESULT_COLUMNS = (
-    *("cell", "label", "algorithm", "env_id", "preset", "settings", "num_trajectories", "seed"),
+    *("cell", "label", "algorithm", "env_id", "preset", "settings"),
+    *("demonstrations", "num_trajectories", "subsample", "seed"),
     *("physics", "iterations", "env_steps", "kept_iteration"),
     *("return_mean", "return_std", "length_mean", "last_return", "mean_return_over_training"),
     *("steps_to_90", "expert_return", "random_return", "normalized", "status"),
@@ -113,7 +114,9 @@ def cell_columns(cell: Cell) -> dict[str, Any]:
         "env_id": cell.env_id,
         "preset": cell.preset,
         "settings": ";".join(f"{name}={value}" for name, value in cell.settings.items()),
+        "demonstrations": cell.demonstrations,
         "num_trajectories": cell.num_trajectories,
+        "subsample": cell.subsample,
         "seed": cell.seed,
         "physics": cell.engine,
     }

@@ -7,10 +7,9 @@ import numpy as np
 from ailsrs_jax.data.demonstrations import Demonstrations, validated
 from ailsrs_jax.data.sources import open_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import env_sizes
+from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
-from ailsrs_jax.trainers.rollout import action_range
 
 NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
 PAPER_EXPERT = "expert:paper"

@@ -9,7 +9,7 @@ from brax.envs.base import Wrapper
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.trainers.rollout import action_range
+from ailsrs_jax.envs.interface import action_range
 
 
 class UnitActions(Wrapper):

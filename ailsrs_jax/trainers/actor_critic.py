@@ -13,8 +13,9 @@ from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import MlpPolicy, perceptron, repeated
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.rollout import Rollout, action_range, episode_counts, rollout
+from ailsrs_jax.trainers.rollout import Rollout, episode_counts, rollout
 from ailsrs_jax.trainers.segments import Episodes, Steps, collect
 from ailsrs_jax.trainers.settings import require_countable
 
@@ -259,7 +260,7 @@ def _fit_critic(
     key: jax.Array,
     settings: TrustRegionSettings,
 ) -> tuple[Layers, optax.OptState, jax.Array]:
-    """Minibatches of Adam on the squared error, each sample once an epoch."""
+    """Minibatches of Adam on the squared error; of each epoch what fills none is left out."""
     size = min(settings.value_batch_size, len(targets))
 
     def loss(critic: Layers, indices: jax.Array) -> jax.Array:

@@ -23,6 +23,9 @@ from ailsrs_jax.trainers.settings import is_used
 Sampler = Callable[[jax.Array, int], tuple[jax.Array, jax.Array]]
 
 
+NETWORK = discriminator.Discriminator()
+
+
 @dataclasses.dataclass(frozen=True)
 class AdversarySettings:
     """Settings of :class:`Adversary`; the defaults are the paper's (Table I)."""
@@ -55,9 +58,6 @@ class Adversary:
     settings: AdversarySettings
     expert: Expert
     devices: Devices = ONE_DEVICE
-    network: discriminator.Discriminator = dataclasses.field(
-        default_factory=discriminator.Discriminator
-    )
 
     def __post_init__(self) -> None:
         """Raise UserError unless the demonstrations hold what the discriminator sees."""
@@ -77,7 +77,7 @@ class Adversary:
 
     def init(self, key: jax.Array) -> AdversaryState:
         """An untrained discriminator."""
-        parameters = self.network.init(key, jnp.zeros(self.input_size))
+        parameters = NETWORK.init(key, jnp.zeros(self.input_size))
         return AdversaryState(parameters, self._adam.init(parameters))
 
     def inputs(
@@ -156,7 +156,7 @@ class Adversary:
         return optax.adam(self.settings.discriminator_learning_rate)
 
     def _logits(self, parameters: Any, inputs: jax.Array) -> jax.Array:
-        return cast("jax.Array", self.network.apply(parameters, inputs))
+        return cast("jax.Array", NETWORK.apply(parameters, inputs))
 
     def _expert_inputs(self) -> jax.Array:
         """``(E, T, d)``."""

@@ -14,12 +14,14 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import count_episodes, explore
-from ailsrs_jax.trainers.rollout import Rollout, action_range
-from ailsrs_jax.trainers.settings import require_countable
+from ailsrs_jax.trainers.rollout import Rollout
+from ailsrs_jax.trainers.settings import require_countable, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
@@ -33,7 +35,7 @@ class AilsrsSettings(AdversarySettings):
     num_directions: int = 320
     num_top_directions: int = 320  #: the paper uses all
     step_size: float = 0.02
-    final_step_size: float = 0.02  #: reached linearly at the last iteration
+    final_step_size: float = 0.02  #: reached linearly at the last iteration, whatever the first is
     noise_std: float = 0.03
     episode_length: int = 1000
     memory_iterations: int = 1  #: the discriminator sees the policies of so many iterations
@@ -248,8 +250,8 @@ class Ailsrs(Trainer):
         """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T); NaN of one that diverged.
 
         r̄ is the mean over its L live steps, and ρ what those after its end are worth. A mean over
-        live steps cannot see a fall, and their sum pays a policy for standing still; between the
-        two both lose.
+        live steps cannot see a fall, and their sum of positive rewards pays a policy for standing
+        still; between the two both lose.
         """
         num_seen = self._adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
@@ -284,9 +286,15 @@ def make_ailsrs(
     (2,)
 
     Raises:
-        UserError: the directions cannot be shared evenly, there are too many steps to count, or
-            the demonstrations do not hold what the settings need.
+        UserError: a setting makes no sense, the directions cannot be shared evenly, there are too
+            many steps to count, or the demonstrations do not hold what the settings need.
     """
+    validate(settings)
+    if settings.imitation_reward == "airl" and settings.reward_after_end != 1.0:
+        raise UserError(
+            f"reward_after_end is {settings.reward_after_end}: imitation_reward=airl, which is "
+            "negative where the policy is told apart, would reward an early end; set it to 1"
+        )
     devices.require_share(settings.num_directions)
     remembered = 2 * settings.num_directions * settings.memory_iterations
     require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)

@@ -14,10 +14,10 @@ from ailsrs_jax.components import normalizer, random_search
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
 from ailsrs_jax.trainers.exploration import count_episodes, explore
-from ailsrs_jax.trainers.rollout import action_range
-from ailsrs_jax.trainers.settings import require_countable
+from ailsrs_jax.trainers.settings import require_countable, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -153,8 +153,10 @@ def make_ars(
     """See :class:`Ars`.
 
     Raises:
-        UserError: the directions cannot be shared evenly, or there are too many steps to count.
+        UserError: a setting makes no sense, the directions cannot be shared evenly, or there are
+            too many steps to count.
     """
+    validate(settings)
     num_episodes = 2 * settings.num_directions + settings.num_evaluation_episodes
     require_countable(num_episodes * settings.episode_length)
     devices.require_share(settings.num_directions)

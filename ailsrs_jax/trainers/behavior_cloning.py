@@ -14,8 +14,10 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep, repeate
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.rollout import action_range, episode_counts, rollout
+from ailsrs_jax.trainers.rollout import episode_counts, rollout
+from ailsrs_jax.trainers.settings import validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -161,6 +163,7 @@ def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Arra
     num_episodes = jnp.sum(lengths > 0)
     held_out = jnp.clip(jnp.round(num_episodes * validation_fraction), 1, num_episodes - 1)
     first_part = jnp.ceil(lengths * (1.0 - validation_fraction)).astype(jnp.int32)
+    first_part = jnp.minimum(first_part, lengths - 1)  # something is held out of a short one, too
     return jnp.where(
         num_episodes == 1,
         jnp.where(lengths > 0, jnp.maximum(first_part, 1), 0),
@@ -174,8 +177,9 @@ def make_behavior_cloning(
     """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`.
 
     Raises:
-        UserError: they hold no actions.
+        UserError: a setting makes no sense, or they hold no actions.
     """
+    validate(settings)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     expert.require_actions("behaviour cloning")
     return BehaviorCloning(env, settings, expert)

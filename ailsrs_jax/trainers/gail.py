@@ -31,6 +31,7 @@ from ailsrs_jax.trainers.actor_critic import (
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.segments import Episodes, Steps
+from ailsrs_jax.trainers.settings import validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 CLONING_BATCH_SIZE = 128
@@ -197,9 +198,10 @@ def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) 
     """Prepare the demonstrations for training in ``env``; see :class:`Gail`.
 
     Raises:
-        UserError: the batch cannot be shared evenly by the environments, or the demonstrations do
-            not hold what the settings need.
+        UserError: a setting makes no sense, the batch cannot be shared evenly by the environments,
+            or the demonstrations do not hold what the settings need.
     """
+    validate(settings)
     require_batches(settings, settings.policy_steps)
     expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees

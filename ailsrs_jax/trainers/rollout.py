@@ -116,13 +116,6 @@ class Slots(struct.PyTreeNode):
 Carry = tuple[Slots, jax.Array, Rollout]  # with the index of the next episode that waits
 
 
-def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
-    """Lowest and highest action ``(p,)``; Brax's environments take actions from −1 to 1."""
-    ones = jnp.ones(env.action_size)
-    low, high = getattr(env, "action_low", -ones), getattr(env, "action_high", ones)
-    return jnp.asarray(low), jnp.asarray(high)
-
-
 def rollout(
     env: Env,
     policies: Policy,

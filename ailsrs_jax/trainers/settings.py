@@ -50,8 +50,12 @@ def as_text(value: Any) -> str:
 
 
 def validate(settings: Any) -> None:
-    """Raise UserError unless the values of a trainer's settings make sense."""
-    values = vars(settings)
+    """Raise UserError unless the values of a trainer's settings make sense; traced ones may."""
+    values = {
+        name: value
+        for name, value in vars(settings).items()
+        if not isinstance(value, jax.core.Tracer)
+    }
     for name, value in values.items():
         if type(value) is int and value < 1:
             raise UserError(f"setting {name} is {value}: it must be at least 1")

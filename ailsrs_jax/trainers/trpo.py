@@ -23,6 +23,7 @@ from ailsrs_jax.trainers.actor_critic import (
     with_evaluation,
 )
 from ailsrs_jax.trainers.segments import Episodes
+from ailsrs_jax.trainers.settings import validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -95,7 +96,9 @@ def make_trpo(env: Env, settings: TrpoSettings) -> Trpo:
     """See :class:`Trpo`.
 
     Raises:
-        UserError: the batch cannot be shared evenly by the environments.
+        UserError: a setting makes no sense, or the batch cannot be shared evenly by the
+            environments.
     """
+    validate(settings)
     require_batches(settings)
     return Trpo(env, settings)

@@ -46,6 +46,22 @@ def test_reward_is_finite_and_expert_like_is_high() -> None:
     assert bool((jnp.diff(rewards) >= 0).all())
 
 
+@pytest.mark.parametrize(("policy", "expert"), [(0.5, 0.5), (0.2, 0.9), (0.7, 0.1)])
+def test_cross_entropy_in_closed_form(policy: float, expert: float) -> None:
+    loss = adversary.cross_entropy_loss(logit(policy)[None], logit(expert)[None])
+    np.testing.assert_allclose(loss, -np.log(expert) - np.log(1 - policy), rtol=1e-5)
+
+
+@pytest.mark.parametrize("score", [1e-4, 0.3, 0.5, 0.999])
+def test_other_rewards_and_the_entropy_in_closed_form(score: float) -> None:
+    logits, other = logit(score), 1 - score
+    airl = np.log(score) - np.log(other)
+    np.testing.assert_allclose(adversary.airl_reward(logits), airl, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(adversary.amp_reward(logits), 1 - other**2, rtol=1e-3)
+    expected = -score * np.log(score) - other * np.log(other)
+    np.testing.assert_allclose(adversary.entropy(logits), expected, rtol=1e-3)
+
+
 def test_gradient_penalty_of_a_known_slope() -> None:
     slope = jnp.array([3.0, -4.0])
     near_zero = jnp.zeros((10, 2))

@@ -267,6 +267,20 @@ def test_reset_noise_is_gymnasiums(env_id: str) -> None:
     assert (np.ptp(ours, axis=0) < 3 * np.ptp(theirs, axis=0)).all()
 
 
+@pytest.mark.parametrize("env_id", TASKS)
+def test_reset_noise_has_the_scale_asked_for(env_id: str) -> None:
+    """From the same keys, twice as much of the same noise."""
+    keys = jax.random.split(jax.random.key(0), 10)
+    states = []
+    for scale in (0.0, 0.01, 0.02):
+        env = make_env(env_id, "mujoco", reset_noise_scale=scale)
+        state = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
+        states.append(np.concatenate([state.qpos, state.qvel], axis=1))
+    still, once, twice = states
+    assert np.abs(once - still).max() > 0.005
+    np.testing.assert_allclose(twice - still, 2 * (once - still), atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["hopper", "ant"])
 def test_a_finished_simulation_is_left_alone(name: str) -> None:
     env = make_env(name, "mujoco")

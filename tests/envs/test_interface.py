@@ -15,10 +15,10 @@ from flax import struct
 
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs import State
-from ailsrs_jax.envs.interface import env_name, env_sizes, require_env
+from ailsrs_jax.envs.interface import action_range, env_name, env_sizes, require_env
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.rollout import action_range, rollout
+from ailsrs_jax.trainers.rollout import rollout
 from tests.point_mass import PointMass
 
 

@@ -16,7 +16,7 @@ def make_results(path: Path, rng: Rng) -> None:
     names = [field.name for field in dataclasses.fields(Cell)]
     curve, timing = (
         "cell iteration env_steps evaluation_return",
-        "cell train_seconds compile_seconds",
+        "cell train_seconds compile_seconds seconds_to_90_percent hardware",
     )
     tables: dict[str, list[list[Any]]] = {
         "results.csv": [names, *([words.get(x, i) for x in names] for i in range(2))],

@@ -100,11 +100,18 @@ def test_mistakes(point_mass: PointMass, point_mass_expert: Demonstrations) -> N
             "validation_fraction": 1.5,
         },
         "batch_size is 7: it must be a multiple": {"algorithm": "gail", "batch_size": 7},
+        "reward_after_end is 0.85: imitation_reward=airl": {"imitation_reward": "airl"},
         "it must be least_squares or cross_entropy": {"discriminator_loss": "hinge"},
     }
     for message, arguments in calls.items():
         with pytest.raises(ail.UserError) as caught:
             ail.train(point_mass, point_mass_expert, **arguments)
         assert message in str(caught.value)
+    for make, settings in (
+        (ail.make_ars, ail.ArsSettings(num_directions=2)),
+        (ail.make_trpo, ail.TrpoSettings(max_divergence=0.0)),
+    ):
+        with pytest.raises(ail.UserError, match="it must be"):
+            make(point_mass, settings)
     with pytest.raises(ail.UserError, match="hold no actions, which behaviour cloning needs"):
         ail.train(point_mass, point_mass_expert.replace(actions=None), algorithm="bc")

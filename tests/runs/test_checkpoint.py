@@ -121,6 +121,12 @@ def test_one_that_was_never_finished_is_passed_over(copy: Path, caplog) -> None:
     assert not caplog.records
 
 
+def test_one_that_was_never_finished_is_finished_by_saving_the_same_again(copy: Path) -> None:
+    (copy / "3" / HASHES).unlink()
+    write(copy, 3)
+    assert read(copy) == (3, 3.0)
+
+
 @pytest.mark.parametrize(
     "other",
     [

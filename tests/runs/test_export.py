@@ -223,6 +223,12 @@ def test_a_configuration_that_lacks_something_is_refused(name: str, in_tmp_path:
         ail.export("run", "out")
 
 
+@pytest.mark.parametrize("name", ["subsample", "num_trajectories"])
+def test_of_demonstrations_everything_is_known(name: str, in_tmp_path: Path) -> None:
+    with pytest.raises(ail.UserError, match=f"{name} is missing"):
+        exported({name: None})
+
+
 def test_names_are_no_markup(in_tmp_path: Path) -> None:
     card = exported(
         {"demonstrations": "a|`<b>*[x](y).npz", "versions": {"<i>": "|"}, "physics": "a\n```\nb"}
@@ -263,6 +269,7 @@ def test_mistakes_are_one_line_and_nothing_is_written(in_tmp_path: Path, monkeyp
         "no such file": lambda: ail.export("missing.npz", "out"),
         "0 episodes": lambda: ail.export(expert, "out", num_episodes=0),
         "cannot write": lambda: ail.export(expert, "full/README.md/out"),
+        "File name too long": lambda: ail.export(expert, f"{'x' * 300}.npz"),
         "unknown environment": lambda: ail.export(spring(), "out"),
         "seed is -1": lambda: ail.export(expert, "out", seed=-1),
     }

@@ -123,6 +123,9 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         row(1, cell="c", label="GAIL", settings="x=1;y=2"),
         row(1, cell="d", label="GAIL", settings=""),
         row(1, cell="e", label="GAIL", settings="", env_id="Swimmer-v5"),
+        row(1, cell="f", label="BC"),
+        row(1, cell="g", label="BC", subsample=20),
+        row(1, cell="h", label="BC", demonstrations="mine.npz"),
     )
     assert statistics.series_names(table) == {
         "a": "AILSRS",
@@ -130,6 +133,9 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         "c": "GAIL (x=1, y=2)",
         "d": "GAIL (as preset)",
         "e": "GAIL (as preset)",
+        "f": "BC (shipped expert, subsample=1)",
+        "g": "BC (shipped expert, subsample=20)",
+        "h": "BC (mine.npz, subsample=1)",
     }
 
 

@@ -197,6 +197,11 @@ def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
         assert message in str(caught.value)
 
 
+def test_a_directory_that_cannot_be(in_tmp_path: Path) -> None:
+    with pytest.raises(ail.UserError, match="File name too long"):
+        ail.sweep(quick_grid(), "x" * 300)
+
+
 def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
     sweep = expand(grid(demonstrations))
     sweep.save(Path("sweep.json"))

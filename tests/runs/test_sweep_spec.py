@@ -61,6 +61,9 @@ WRONG: dict[str, dict[str, Any]] = {
     "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
     "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
     "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
+    "label is '': it must be of 1 to 80 printable characters": {"grid": [{"label": ""}]},
+    "label is 'a\\u2028b': it must be of 1 to 80": {"grid": [{"label": "a\u2028b"}]},
+    "xxx': it must be of 1 to 80 printable characters": {"grid": [{"label": "x" * 81}]},
     "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
         "grid": [{}, {"label": "x", "env": "hoper"}]
     },

@@ -76,3 +76,5 @@ def test_something_is_left_to_train_on(lengths: list[int], fraction: float) -> N
     if len(lengths) > 1:  # whole episodes, and something is left to validate with
         assert ((kept == 0) | (kept == lengths)).all()
         assert (kept == 0).any()
+    elif lengths[0] > 1:
+        assert kept[0] < lengths[0]

@@ -7,41 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs import State
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings, make_ailsrs
-from tests.point_mass import PointMass
+from tests.point_mass import WIDE_ACTION as ACTIONS
+from tests.point_mass import WIDE_OBSERVATION as SIZE
+from tests.point_mass import WidePointMass, wide_demonstrations
 
-SIZE, ACTIONS = 100, 10
 SETTINGS = AilsrsSettings(episode_length=500)
-
-
-class WidePointMass(PointMass):
-    """Whose observations are as wide as a robot's."""
-
-    observation_size = SIZE
-    action_size = ACTIONS
-
-    def reset(self, rng: jax.Array) -> State:
-        return self._widen(super().reset(rng))
-
-    def step(self, state: State, action: jax.Array) -> State:
-        return self._widen(super().step(state.replace(obs=state.obs[:2]), action))
-
-    def _widen(self, state: State) -> State:
-        return state.replace(obs=jnp.pad(state.obs, (0, SIZE - 2)))
 
 
 @pytest.mark.parametrize("standardize_with", ["running", "expert"])
 def test_trajectories_are_held_once(standardize_with: str) -> None:
-    rng = np.random.default_rng(0)
-    demonstrations = Demonstrations(
-        observations=rng.normal(size=(2, 50, SIZE)).astype(np.float32),
-        actions=rng.normal(size=(2, 50, ACTIONS)).astype(np.float32),
-        lengths=np.array([50, 50]),
-        returns=np.zeros(2, np.float32),
-        env_id="wide",
-    )
+    demonstrations = wide_demonstrations()
     settings = dataclasses.replace(SETTINGS, standardize_with=standardize_with)
 
     def planned(num_directions: int, num_seeds: int) -> int:

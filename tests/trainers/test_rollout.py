@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.registry import make_env
-from ailsrs_jax.trainers.rollout import Rollout, action_range, rollout
+from ailsrs_jax.trainers.rollout import Rollout, rollout
 from tests.point_mass import PointMass
 
 

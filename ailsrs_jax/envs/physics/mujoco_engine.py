@@ -48,6 +48,8 @@ class MujocoPhysics:
         )
         self._state_size = mujoco.mj_stateSize(model, self._pool.state_spec)
         data = mujoco.MjData(model)
+        self._initial_state = np.zeros(self._state_size)
+        mujoco.mj_getState(model, data, self._initial_state, self._pool.state_spec)
         self._reading_shapes = {name: getattr(data, name).shape for name in readings}
         self._state_types = (
             jax.ShapeDtypeStruct((model.nq,), np.float32),
@@ -77,10 +79,9 @@ class MujocoPhysics:
         return PhysicsState(*next_state)
 
     def _host_init(self, qpos: jax.Array, qvel: jax.Array) -> HostState:
-        # The full state is [time, qpos, qvel, …]: none of the models has activations or plugins.
-        nq, nv = self.model.nq, self.model.nv
+        nq, nv = self.model.nq, self.model.nv  # the full state is [time, qpos, qvel, …]
         batch_shape = qpos.shape[:-1]
-        full_state = np.zeros((*batch_shape, self._state_size))
+        full_state = np.tile(self._initial_state, (*batch_shape, 1))
         full_state[..., 1 : 1 + nq] = np.asarray(qpos)
         full_state[..., 1 + nq : 1 + nq + nv] = np.asarray(qvel)
         readings = {

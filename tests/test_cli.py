@@ -92,7 +92,6 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
     "arguments",
     [
         "train hoper",
-        "train humanoid",
         "train nowhere:Slider",
         "train tests.point_mass:PointMass",
         "train tests.point_mass:PointMass --demonstrations file --physics mjx",
@@ -154,7 +153,6 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
         "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
         "demonstrate hoper --output demonstrations.npz",
-        "demonstrate humanoid --output demonstrations.npz",
         "demonstrate hopper --output minari:hopper",
         "demonstrate hopper --output file/demonstrations.npz",
         "expert hoper --output expert.npz",

@@ -110,13 +110,10 @@ def test_contradictions_of_a_neural_policy_are_named(message: str, change, tmp_p
     assert message in str(caught.value)
 
 
-WITHOUT_EXPERT = ["Humanoid-v5"]
-
-
-@pytest.mark.parametrize("env_id", [env_id for env_id in TASKS if env_id not in WITHOUT_EXPERT])
+@pytest.mark.parametrize("env_id", TASKS)
 def test_an_expert_ships_for_the_task(env_id: str) -> None:
     assert load_policy(expert_path(env_id)).env_id == env_id
-    assert expert_path(env_id).stat().st_size < 60_000
+    assert expert_path(env_id).stat().st_size < 120_000
 
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "Walker2d-v5"])
@@ -126,10 +123,9 @@ def test_the_papers_level_is_another_expert_only_where_ours_is_beyond_it(env_id:
     assert (of_paper == expert_path(env_id)) == (env_id == "Hopper-v5")
 
 
-@pytest.mark.parametrize("env_id", WITHOUT_EXPERT)
-def test_a_missing_expert_is_said_to_be_missing(env_id: str) -> None:
-    with pytest.raises(UserError, match=f"no expert of {env_id} ships .* --demonstrations"):
-        expert_path(env_id)
+def test_a_missing_expert_is_said_to_be_missing() -> None:
+    with pytest.raises(UserError, match=r"no expert of my:Task ships .* --demonstrations"):
+        expert_path("my:Task")
 
 
 @pytest.mark.parametrize("kind", ["linear", "neural"])

@@ -16,7 +16,6 @@ from ailsrs_jax.envs.physics import ENGINES, PhysicsState
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, make_env
 
-WITH_EXPERT = [env_id for env_id in TASKS if env_id != "Humanoid-v5"]
 TOLERANCES = {"mujoco": 1e-5, "mjx": 2e-3}
 # Of the velocities after a step [m/s, rad/s]: median, and 99th percentile of the worst of a step.
 # The Humanoid's own solver (PGS) is not as precise.
@@ -100,12 +99,12 @@ def set_state(env: Any, qpos: Any, qvel: Any) -> None:
 def gymnasium_steps(env_id: str, num_steps: int, **flags: Any) -> Steps:
     """Steps from states that random actions, and where it fits the expert, visit."""
     env = gymnasium_env(env_id, **flags)
-    expert = load_policy(expert_path(env_id)) if env_id in WITH_EXPERT else None
+    expert = load_policy(expert_path(env_id))
     observation, _ = env.reset(seed=0)
     rng, rows = np.random.default_rng(0), []
     for time in range(num_steps):
         action = np.float32(rng.uniform(-1.2, 1.2, env.action_space.shape))
-        if time % 400 >= 100 and expert and len(expert.mean) == len(observation):
+        if time % 400 >= 100 and len(expert.mean) == len(observation):
             action = np.float32(expert(observation) + 0.1 * action)
         qpos, qvel = np.float32(env.data.qpos), np.float32(env.data.qvel)
         set_state(env, qpos, qvel)  # body positions and forces are of an earlier state otherwise
@@ -192,7 +191,7 @@ def test_constructor_flags(env_id: str) -> None:
 @pytest.mark.parametrize("env_id", TASKS)
 def test_whole_trajectory_of_the_c_engine(env_id: str) -> None:
     """Nothing is rounded between steps, so 100 steps in a row stay together."""
-    flags = {} if env_id in WITH_EXPERT else {"terminate_when_unhealthy": False}
+    flags = {"terminate_when_unhealthy": False} if env_id == "Humanoid-v5" else {}
     env, reference = make_env(env_id, "mujoco", **flags), gymnasium_env(env_id, **flags)
     reference.reset(seed=0)
     state = jax.jit(env.reset)(jax.random.key(0))

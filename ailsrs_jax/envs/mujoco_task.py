@@ -43,8 +43,8 @@ class MujocoTask(Env):
 
         Args:
             physics: ``auto``, ``mjx`` or ``mujoco``.
-            xml_file: a model of Gymnasium's by name, or a path; that begins with ``/``, ``.`` or
-                ``~``.
+            xml_file: a model of Gymnasium's by name, or the path of one, which begins
+                with ``/``, ``.`` or ``~``.
             frame_skip: physics steps per environment step.
             reset_noise_scale: size of the noise on the initial positions and velocities.
             num_hidden_positions: leading entries of ``qpos`` that the observation leaves out.

@@ -136,6 +136,16 @@ def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
 
 
 @pytest.mark.slow  # rolls out the shipped experts
-@pytest.mark.parametrize(("name", "num_cells"), [("smoke", 8), ("curves", 20), ("ablations", 81)])
+@pytest.mark.parametrize(
+    ("name", "num_cells"),
+    {
+        "smoke": 8,
+        "paper": 144,
+        "curves": 20,
+        "ablations": 81,
+        "ant_humanoid": 18,
+        "baselines": 12,
+    }.items(),
+)
 def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
     assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells

@@ -181,8 +181,13 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
     """
     written: list[tuple[TableRow, TableRow | None]] | None = None
     while True:
-        found = [load_result(output / "cells" / cell.name) for cell in cells]
-        results = [result for result in found if result is not None]
+        found = [(cell, load_result(output / "cells" / cell.name)) for cell in cells]
+        # What is known of a cell is added, lest an earlier version's result lacks some of it.
+        results: list[tuple[TableRow, TableRow | None]] = [
+            ({**cell_columns(cell), **result[0]}, result[1])
+            for cell, result in found
+            if result is not None
+        ]
         if results == written:
             return [row for row, _ in results]
         rows = [row for row, _ in results]

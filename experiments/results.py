@@ -18,6 +18,8 @@ from pathlib import Path
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.statistics import group_cells
+from ailsrs_jax.runs.sweep import SWEEP_FILE
+from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_results import SweepResults, read_results
 from ailsrs_jax.sweep_report import aggregates, markdown_table, report_sweep, write_text
 from experiments.claims import CLAIMS, UNTESTED
@@ -69,7 +71,7 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
     """Copy a sweep's tables to ``target``, with a note of where they come from.
 
     Raises:
-        UserError: the tables cannot be read, or the commit has no experiments/NAME.toml.
+        UserError: the sweep cannot be read, or the commit has no experiments/NAME.toml.
     """
     read_results(source)
     spec = f"experiments/{name}.toml"
@@ -80,7 +82,8 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     for table in TABLES:
         shutil.copyfile(source / table, directory / table)
-    note = {"command": f"ailsrs sweep {spec}", "commit": full}
+    planned = len(load_sweep(source / SWEEP_FILE).cells)
+    note = {"command": f"ailsrs sweep {spec}", "commit": full, "cells": planned}
     write_text(directory / "provenance.json", f"{json.dumps(note, indent=2)}\n")
 
 
@@ -126,7 +129,7 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
     rows = []
     for name, results in sweeps.items():
         note = _provenance(directory / name / "provenance.json")
-        done = f"{len(results.done)} of {len(results.cells)}"
+        done = f"{len(results.done)} of {note['cells']}"
         engines = dict.fromkeys(cell.physics for cell in results.cells)
         machines = dict.fromkeys(timing.hardware for timing in results.timings.values())
         commit = f"`{note['commit'][:12]}`"
@@ -139,11 +142,13 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
 def _provenance(path: Path) -> dict[str, str]:
     try:
         note = json.loads(path.read_text())
-        return {name: str(note[name]) for name in ("command", "commit")}
+        return {name: str(note[name]) for name in ("command", "commit", "cells")}
     except FileNotFoundError:
-        return {"command": "not noted", "commit": "not noted"}
+        return dict.fromkeys(("command", "commit", "cells"), "not noted")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} does not name a command and a commit") from error
+        raise UserError(
+            f"{path} does not name a command, a commit and a number of cells"
+        ) from error
 
 
 def _section(name: str, results: SweepResults, directory: Path) -> list[str]:

@@ -1,5 +1,6 @@
 """experiments/RESULTS.md: the rules of its verdicts, and what is not yet run."""
 
+import dataclasses
 import json
 import subprocess
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.sweep_cells import Cell
 from tests.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="the package is installed without them")
@@ -234,13 +236,17 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
     sweep = write_sweep(tmp_path / "sweep", [row(1.0)])
     target = tmp_path / "results"
 
+    planned = {field.name: "a" for field in dataclasses.fields(Cell)}
+    planned |= {"settings": {}, "all_settings": {}}
+    cells = [planned, planned | {"name": "b"}]
+    (sweep / "sweep.json").write_text(json.dumps({"cells": cells, "episodes": 1}))
     results.add("paper", sweep, "HEAD", target)
     note = json.loads((target / "paper" / "provenance.json").read_text())
     assert note["command"] == "ailsrs sweep experiments/paper.toml"
     assert len(note["commit"]) == 40
     assert (target / "paper" / "curves.csv").read_text() == (sweep / "curves.csv").read_text()
     page = results.page(results.read_all(target), target)
-    origin = "`ailsrs sweep experiments/paper.toml` | 1 of 1 | mujoco | 2 CPU cores"
+    origin = "`ailsrs sweep experiments/paper.toml` | 1 of 2 | mujoco | 2 CPU cores"
     assert f"| paper | {origin} | `{note['commit'][:12]}` |" in page
 
     for name, commit in (("papers", "HEAD"), ("paper", "nothing")):

@@ -62,7 +62,7 @@ PPO_PRESETS = {
         num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0
     ),
     "Hopper-v5": PpoSettings(stop_at=3245.0, num_evaluations=100),
-    # Here too. A shorter horizon is enough not to fall, and the reward is mostly for that.
+    # As Ant. A shorter horizon is enough not to fall, and the reward is mostly for that.
     "Humanoid-v5": PpoSettings(
         num_env_steps=4_096_000,
         num_evaluations=20,

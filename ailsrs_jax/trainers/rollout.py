@@ -150,12 +150,8 @@ def rollout(
         return _simulate(env, policies, reset_keys, noise, episode_length, batch_size)
 
     @simulate.def_vmap
-    def _merge_axes(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[Rollout, Any]:
-        def merge(batched: bool, x: jax.Array) -> jax.Array:
-            x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
-            return x.reshape(-1, *x.shape[2:])
-
-        merged = simulate(*jax.tree.map(merge, tuple(in_batched), arguments))
+    def _of_many(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[Rollout, Any]:
+        merged = simulate(*merge_axes(axis_size, in_batched, arguments))
 
         def split(x: jax.Array) -> jax.Array:
             return x.reshape(axis_size, -1, *x.shape[1:])
@@ -172,6 +168,16 @@ def rollout(
 
     result: Rollout = simulate(policies, reset_keys, noise)
     return result
+
+
+def merge_axes(axis_size: int, in_batched: Any, arguments: tuple[Any, ...]) -> Any:
+    """The arguments of a ``custom_vmap`` function, its new axis merged into their first one."""
+
+    def merge(batched: bool, x: jax.Array) -> jax.Array:
+        x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
+        return x.reshape(-1, *x.shape[2:])
+
+    return jax.tree.map(merge, tuple(in_batched), arguments)
 
 
 def _simulate(

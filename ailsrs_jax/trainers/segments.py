@@ -10,6 +10,7 @@ from flax import struct
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.trainers.rollout import merge_axes
 
 
 class Episodes(struct.PyTreeNode):
@@ -117,12 +118,8 @@ def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
         return jax.lax.cond(over.any(), reset, lambda: states)
 
     @restart.def_vmap
-    def _merge_axes(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[State, Any]:
-        def merge(batched: bool, x: jax.Array) -> jax.Array:
-            x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
-            return x.reshape(-1, *x.shape[2:])
-
-        merged = restart(*jax.tree.map(merge, tuple(in_batched), arguments))
+    def _of_many(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[State, Any]:
+        merged = restart(*merge_axes(axis_size, in_batched, arguments))
         states = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), merged)
         return states, jax.tree.map(lambda _: True, states)
 

@@ -9,17 +9,11 @@ from hypothesis import strategies as st
 
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.errors import UserError
+from tests.fuzz.archives import demonstration_arrays
 
 
 def arrays() -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(0)
-    return {
-        "observations": rng.normal(size=(3, 5, 4)).astype(np.float32),
-        "actions": rng.normal(size=(3, 5, 2)).astype(np.float32),
-        "lengths": np.array([5, 2, 1]),
-        "returns": np.array([1.0, 2.0, 3.0], np.float32),
-        "env_id": np.array("Hopper-v5"),
-    }
+    return {name: x for name, x in demonstration_arrays().items() if name != "stride"}
 
 
 def test_survives_the_disk(tmp_path) -> None:

@@ -174,8 +174,11 @@ def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
         task: [group for group in groups if group.env_id == task] for task in tasks
     }
     common = comparable(groups)
-    if len(tasks) > 1 and all(common.values()):
-        columns["all tasks"] = [group for mine in common.values() for group in mine]
+    shared = [group for mine in common.values() for group in mine]
+    num_shared = len({group.env_id for group in shared})
+    if num_shared > 1 and all(common.values()):
+        name = "all tasks" if num_shared == len(tasks) else f"{num_shared} common tasks"
+        columns[name] = shared
     names = [textwrap.fill(name, 24) for name in looks]
     row_height = max(0.34, *(0.15 * (name.count("\n") + 1) for name in names))
     figure = Figure((WIDTH, 0.9 + row_height * len(names)), layout="constrained")

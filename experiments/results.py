@@ -40,11 +40,16 @@ Written by `python -m experiments.results` from the tables in `experiments/resul
 Each claim of *Adversarial Imitation Learning via Random Search* (Shin and Kim, IJCNN 2019) has a
 rule, which is code in `experiments/rules.py`. A rule is a number of comparisons: all hold,
 *reproduced*; at least half, *partly*; fewer, *not*. ✗ marks one that does not hold. While a seed is
-missing, or there are fewer than three, it is *not yet run*. Normalised returns are 0 for random
-actions and 1 for the expert. Returns are those of the kept policies, which are chosen without the
-reward, in Gymnasium's own environments; ± is the standard deviation over seeds (the paper does not
-say of what its own is), and with three seeds it is a rough one. The paper's tasks were version 2
-and its experts others, so its returns are compared as shares of the expert's.
+missing, it is *not yet run*. Normalised returns are 0 for random actions and 1 for the expert.
+Returns are those of the kept policies in Gymnasium's own environments; imitators choose theirs
+without the reward, ARS and TRPO by it. ± is the standard deviation over seeds (the paper does not
+say of what its own is), and with three seeds it is a rough one.
+
+What differs from the paper: settings are those of the
+[tuned presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions
+for 320, a start from behaviour cloning on every task, a gradient penalty and a memory; tasks are
+version 5, not 2, and the experts others, so returns are compared as shares of the expert's. The
+paper does not say what its BC trains: here it is AILSRS's linear policy.
 [docs/figures.md](../docs/figures.md) explains the figures."""
 
 

@@ -104,14 +104,13 @@ def compared(
 
 
 def cloned_to(task: str, number: int, paper_return: float) -> Checks:
-    """BC's share of the expert's return is the paper's, or on the same side of 0.9 at least."""
+    """BC's share of the expert's return is the paper's."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         group = evidence.group("BC", task, number)
         paper, ours = paper_return / PAPER_EXPERTS[task], share(group)
         value = f"{plus_minus(group.values('return_mean'))}, {ours:.2f} of the expert"
         yield Check("", value, abs(ours - paper) <= 0.1)
-        yield Check("", "same side of 0.9", (ours >= REACHED) == (paper >= REACHED))
 
     return checks
 
@@ -173,12 +172,16 @@ def within_five_percent(label: str) -> Checks:
     return checks
 
 
-def every_seed_reaches(evidence: Evidence) -> Iterable[Check]:
-    """Each seed of AILSRS gets to 0.9."""
-    for task in TASKS:
-        for number in NUMBERS:
-            worst = evidence.group("AILSRS", task, number).values("normalized").min()
-            yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
+def every_seed_reaches(label: str, tasks: Sequence[str], numbers: Sequence[int]) -> Checks:
+    """The normalised return of each seed is at least 0.9."""
+
+    def checks(evidence: Evidence) -> Iterable[Check]:
+        for task in tasks:
+            for number in numbers:
+                worst = evidence.group(label, task, number).values("normalized").min()
+                yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
+
+    return checks
 
 
 def competitive(evidence: Evidence) -> Iterable[Check]:
@@ -207,10 +210,11 @@ def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
 
 
 def few_are_enough(evidence: Evidence) -> Iterable[Check]:
-    """Ten demonstrations are as good as forty."""
+    """Ten demonstrations are enough, and as good as forty."""
     for task in TASKS:
         few, many = (score(evidence.group("AILSRS", task, n)) for n in (FEWEST, MOST))
-        yield Check(short(task), f"{few:.2f}, {many:.2f}", few >= many - 0.05)
+        enough = few >= max(REACHED, many - 0.05)
+        yield Check(short(task), f"{few:.2f}, {many:.2f}", enough)
 
 
 def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
@@ -221,11 +225,20 @@ def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
         yield Check(short(task), f"{_seconds(ours)} against {_seconds(theirs)}", ours < theirs)
 
 
+def gail_needs_more_interaction(evidence: Evidence) -> Iterable[Check]:
+    """GAIL is at 90 % of the expert after more steps in the environment than AILSRS."""
+    for task in TASKS:
+        groups = [evidence.group(label, task, FEWEST) for label in ("GAIL", "AILSRS")]
+        theirs, ours = (median_reached(group.values("steps_to_90"))[0] for group in groups)
+        yield Check(short(task), f"{_steps(theirs)} against {_steps(ours)}", theirs > ours)
+
+
 def cloning_needs_data(evidence: Evidence) -> Iterable[Check]:
-    """BC misses with ten demonstrations and does better with forty."""
+    """BC misses with ten demonstrations and does a good deal better with forty."""
     for task in TASKS:
         few, many = (score(evidence.group("BC", task, n)) for n in (FEWEST, MOST))
-        yield Check(short(task), f"{few:.2f}, {many:.2f}", few < REACHED and many > few)
+        needs = few < REACHED and many >= few + 0.1
+        yield Check(short(task), f"{few:.2f}, {many:.2f}", needs)
 
 
 def cloned_start_is_faster(evidence: Evidence) -> Iterable[Check]:

@@ -42,7 +42,7 @@ def write_figure_2(directory: Path, score: Score, seconds: dict[str, float], exp
                 for seed in range(3):
                     changes: dict[str, Any] = {
                         "expert_return": expert * PAPER_EXPERTS[task],
-                        "steps_to_90": 1000,
+                        "steps_to_90": int(1000 * seconds[label]),
                         "seconds": seconds[label],
                     }
                     where = {"label": label, "env_id": task, "num_trajectories": number}

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import Result as Result
     from ailsrs_jax.runs.run import train as train
-    from ailsrs_jax.runs.sweep import merge_sweeps as merge_sweeps
     from ailsrs_jax.runs.sweep import sweep as sweep
+    from ailsrs_jax.runs.sweep_merge import merge_sweeps as merge_sweeps
     from ailsrs_jax.runs.tracking import IterationReport as IterationReport
     from ailsrs_jax.sweep_report import report_sweep as report_sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
@@ -102,7 +102,7 @@ _HOMES = {
     "make_env": "envs.registry",
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
-    "merge_sweeps": "runs.sweep",
+    "merge_sweeps": "runs.sweep_merge",
     "preset_settings": "runs.presets",
     "record": "runs.demonstrate",
     "render": "video",

@@ -19,6 +19,10 @@ class UserError(ValueError):
         super().__init__(line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}...")
 
 
+class InUseError(UserError):
+    """Another process is at it."""
+
+
 def one_line(error: Exception) -> str:
     """What kind of error it is, and the first line of what it says."""
     text = next(iter(str(error).splitlines()), "")

@@ -16,6 +16,8 @@ from ailsrs_jax.arguments import Count, Flag, Json, OptionalPath, Quiet, Tracker
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.terminal import make_console, print_json, this_command
 
+LONGEST_SHARD = 20  # characters
+
 
 def sweep(
     spec: Positional[Path],
@@ -98,7 +100,7 @@ def merge(
         output: The directory to write, as the whole sweep on one machine would have left it.
         sources: The directories of the shards.
     """
-    from ailsrs_jax.runs.sweep import merge_sweeps
+    from ailsrs_jax.runs.sweep_merge import merge_sweeps
 
     console = make_console(quiet=quiet, as_json=as_json)
     report(console, merge_sweeps(output, sources), output, as_json=as_json)
@@ -135,6 +137,6 @@ def parse_shard(text: str) -> tuple[int, int]:
         UserError: it is not.
     """
     index, slash, count = text.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal()):
+    if not (slash and index.isdecimal() and count.isdecimal() and len(text) < LONGEST_SHARD):
         raise UserError(f"--shard {text}: write I/N, for example 0/4")
     return int(index), int(count)

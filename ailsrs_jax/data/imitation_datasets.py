@@ -86,6 +86,8 @@ def _rows(directory: Path) -> Iterator[dict[str, np.ndarray]]:
         # The layout is that of the library "datasets", of which only Arrow's files are needed.
         state = read_json_object(directory / "state.json", "a list of files")
         names = [Path(file["filename"]).name for file in state["_data_files"]]
+        if len(set(names)) < len(names):
+            raise ValueError("a file is named twice")
     except (UserError, ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{directory} was not written by imitation.data.serialize.save: it has no state.json "

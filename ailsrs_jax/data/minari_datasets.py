@@ -173,6 +173,8 @@ def _require_harmless(directory: Path, source: str) -> None:
     sizes, problems = [], []
 
     def visit(name: str, item: Any) -> None:
+        if h5py.h5o.get_info(item.id).rc > 1:  # each is visited once, but read as often as named
+            problems.append(f"has several names for {name!a}")
         if isinstance(item, h5py.Dataset):
             sizes.append(item.nbytes)
             if item.external or item.is_virtual:

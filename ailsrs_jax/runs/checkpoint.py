@@ -16,10 +16,12 @@ import jax
 import jax.numpy as jnp
 import orbax.checkpoint as ocp
 
-from ailsrs_jax.data.files import write_atomically
+from ailsrs_jax.data.files import read_small, write_atomically
 from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.runs.devices import anywhere, as_the_first_says, is_first_process
 
 KEEP = 2  # so that one is whole while another is written
+LISTED = 8  # that processes agree on
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
 OVERHEAD = 2**18  # bytes of a checkpoint beside its arrays
 
@@ -86,7 +88,7 @@ class Checkpoints:
         try:
             self._finish_writing()
         except UserError as problem:
-            if error is None:
+            if error is None or isinstance(error, KeyboardInterrupt):  # which says that it is saved
                 raise
             logger.warning("%s", problem)  # beside the error that is on its way already
         finally:
@@ -135,21 +137,24 @@ class Checkpoints:
         """
         problems: dict[int, Exception] = {}
         restored = Restored(0, like, {})
-        for num_done in sorted(self._manager.all_steps(), reverse=True):
-            if not self._is_whole(num_done):
-                continue  # the process was killed before it was
-            try:
-                restored = self._read(num_done, like)
-                break
-            except Exception as error:  # damaged files raise whatever their readers stumble over
-                problems[num_done] = error
+        # Unless it is whole, the process was killed before it was.
+        whole = sorted(filter(self._is_whole, self._manager.all_steps()), reverse=True)
+        for num_done in as_the_first_says(whole[:LISTED], LISTED):
+            problem = self._problem(num_done, like)
+            if not anywhere(problem is not None):
+                try:
+                    restored = self._read(num_done, like)
+                    break
+                except Exception as error:  # of damaged files it may be any
+                    problem = error
+            problems[num_done] = problem or ValueError("another process cannot read it")
         if problems and restored.num_done == 0:
             newest = one_line(next(iter(problems.values())))
             raise UserError(
                 f"no checkpoint in {self._directory} can be read ({newest}): delete them to begin "
                 "anew"
             )
-        if problems:
+        if problems and is_first_process():
             damaged = " and ".join(map(str, problems))
             logger.warning(
                 "checkpoint %s in %s is damaged: going on from %d",
@@ -157,28 +162,34 @@ class Checkpoints:
                 self._directory,
                 restored.num_done,
             )
-        for num_done in self._manager.all_steps():
-            if num_done > restored.num_done:
-                self._manager.delete(num_done)
+        newer = [step for step in self._manager.all_steps() if step > restored.num_done]
+        for num_done in as_the_first_says(newer[:LISTED], LISTED):
+            self._manager.delete(num_done)
         self._newest = restored.num_done or None
         return restored
 
     def _is_whole(self, num_done: int) -> bool:
         return (self._directory / str(num_done) / HASHES).exists()
 
-    def _read(self, num_done: int, like: Any) -> Restored:
+    def _problem(self, num_done: int, like: Any) -> Exception | None:
+        """Why it cannot be read, if so: asked before, because Orbax reads with all processes."""
         directory = self._directory / str(num_done)
-        if (directory / HASHES).read_text() != _hashes(directory):
-            raise ValueError(f"its files are not those of {HASHES}")
-        abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, _pack(like))
-        with ocp.StandardCheckpointer() as reader:
-            saved = reader.metadata(directory / "state").item_metadata.tree
-        if _shapes(saved) != _shapes(abstract):  # Orbax's threads would stumble, and go on for long
-            raise ValueError("its state has other arrays")
+        try:
+            if read_small(directory / HASHES).decode() != _hashes(directory):
+                raise ValueError(f"its files are not those of {HASHES}")
+            with ocp.StandardCheckpointer() as reader:
+                saved = reader.metadata(directory / "state").item_metadata.tree
+            if _shapes(saved) != _shapes(_abstract(like)):
+                raise ValueError("its state has other arrays")
+        except Exception as error:  # of damaged files it may be any
+            return error
+        return None
+
+    def _read(self, num_done: int, like: Any) -> Restored:
         restored = self._manager.restore(
             num_done,
             args=ocp.args.Composite(
-                state=ocp.args.StandardRestore(abstract), about=ocp.args.JsonRestore()
+                state=ocp.args.StandardRestore(_abstract(like)), about=ocp.args.JsonRestore()
             ),
         )
         return Restored(num_done, _unpack(restored.state, like), dict(restored.about))
@@ -235,6 +246,11 @@ def _shapes(tree: Any) -> dict[str, Any]:
         name: (leaf.shape, jnp.dtype(leaf.dtype))
         for name, (_, leaf) in zip(names, leaves, strict=True)
     }
+
+
+def _abstract(like: Any) -> Any:
+    """Shapes, types and places of what is written of ``like``."""
+    return jax.tree.map(ocp.utils.to_shape_dtype_struct, _pack(like))
 
 
 def _is_key(x: jax.Array) -> bool:

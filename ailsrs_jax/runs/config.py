@@ -13,7 +13,10 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.files import read_json_object, write_atomically
 from ailsrs_jax.errors import UserError
 
-VERSIONED_PACKAGES = ("ailsrs_jax", "jax", "jaxlib", "mujoco", "gymnasium", "numpy", "optax")
+VERSIONED_PACKAGES = (
+    *("ailsrs_jax", "jax", "jaxlib", "mujoco", "gymnasium", "numpy"),
+    *("optax", "flax", "brax"),
+)
 
 MOST_DIFFERENCES = 8  # that are told in a line
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
@@ -53,7 +53,7 @@ def is_first_process() -> bool:
 
 
 @contextlib.contextmanager
-def together(fingerprint: int) -> Iterator[None]:
+def together(fingerprint: int = 0) -> Iterator[None]:
     """Let the processes of a run go on together, or fail together, where one alone would wait.
 
     Raises:
@@ -69,11 +69,21 @@ def together(fingerprint: int) -> Iterator[None]:
         mine = np.array([fingerprint, problem is not None])
         prints, failed = multihost_utils.process_allgather(mine).T
         if problem is None and failed.any():
-            problem = UserError("the run could not start in another process")
+            problem = UserError("it has failed in another process of the run")
         elif problem is None and len(set(prints.tolist())) > 1:
             problem = UserError("the processes have different commands or demonstrations")
     if problem is not None:
         raise problem
+
+
+def as_the_first_says(numbers: Sequence[int], most: int) -> list[int]:
+    """Its ``numbers``, of which there are at most ``most``, none negative."""
+    if jax.process_count() == 1:
+        return list(numbers)
+    mine = np.full(most, -1)
+    mine[: len(numbers)] = numbers
+    first = multihost_utils.broadcast_one_to_all(mine)
+    return [int(number) for number in first if number >= 0]
 
 
 def anywhere(flag: bool) -> bool:

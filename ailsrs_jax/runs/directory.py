@@ -4,13 +4,14 @@ import contextlib
 import errno
 import fcntl
 import logging
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from ailsrs_jax.data.files import PARTIAL
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import InUseError, UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, installed_versions, read_config
 from ailsrs_jax.runs.devices import is_first_process
@@ -61,7 +62,7 @@ class RunDirectory:
         if is_first_process():
             self._journal = Journal(self._path, self._config, num_done, progress["steps"])
             if num_done > 0:
-                self._save_policies(progress["state"])
+                save_policies(progress["state"], self._config, self._path)
         return num_done, progress
 
     def record(self, report: IterationReport, progress: dict[str, Any], *, save: bool) -> None:
@@ -75,9 +76,7 @@ class RunDirectory:
         if self._journal is not None:
             self._journal.append(report, to_disk=save)
         if save:
-            self._checkpoints.save(num_done, progress)
-            if is_first_process():
-                self._save_policies(progress["state"])
+            self._save(num_done, progress)
 
     def abandon(self, report: IterationReport, before: dict[str, Any]) -> None:
         """Write the metrics of an iteration that leads nowhere, and the progress before it.
@@ -87,11 +86,22 @@ class RunDirectory:
         """
         if self._journal is not None:
             self._journal.append(report, to_disk=True)
-        self._checkpoints.save(report.iteration, before)
+        self._save(report.iteration, before)
 
-    def _save_policies(self, state: Any) -> None:
-        for seed, policy in kept_policies(state, self._config).items():
-            policy.save(self._path / f"seed_{seed}" / "policy.npz")
+    def _save(self, num_done: int, progress: dict[str, Any]) -> None:
+        self._checkpoints.save(num_done, progress)
+        if is_first_process():
+            save_policies(progress["state"], self._config, self._path)
+
+
+def save_policies(state: Any, config: RunConfig, path: Path) -> None:
+    """Write what the run keeps so far to its directory.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    for seed, policy in kept_policies(state, config).items():
+        policy.save(path / f"seed_{seed}" / "policy.npz")
 
 
 @contextlib.contextmanager
@@ -141,10 +151,13 @@ def _locked(path: Path) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         try:
             path.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context((path / LOCK).open("wb"))
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Nothing is truncated that a link may lead to, and no reader of a pipe is waited for.
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            lock = os.open(path / LOCK, flags, 0o644)
+            stack.callback(os.close, lock)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise UserError(f"another process is writing to {path}") from None
+            raise InUseError(f"another process is writing to {path}") from None
         except OSError as error:
             if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
                 raise UserError(f"cannot write {path}: {error.strerror}") from error

@@ -257,8 +257,9 @@ def execute(
         num_done, progress = 0, {"state": init(seeds), "steps": np.zeros(len(seeds), np.int64)}
         directory = tracker = None
         if output is not None:
-            directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
-            num_done, progress = directory.restore(progress)
+            with together():
+                directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
+                num_done, progress = directory.restore(progress)
             if is_first_process():
                 tracker = stack.enter_context(tracked(track, [output]))
 
@@ -274,11 +275,13 @@ def execute(
                 report.require_most_finite()
             except UserError:
                 if directory is not None:
-                    directory.abandon(report, progress)
+                    with together():
+                        directory.abandon(report, progress)
                 raise
             progress = {"state": state, "steps": report.metrics["env_steps"]}
             if directory is not None:
-                directory.record(report, progress, save=stopping or report.is_last)
+                with together():
+                    directory.record(report, progress, save=stopping or report.is_last)
             if tracker is not None:
                 tracker.check()
             if watch is not None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.directory import claimed
+from ailsrs_jax.runs.directory import claimed, save_policies
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.journal import Journal
 from ailsrs_jax.runs.policies import kept_policies
@@ -124,6 +124,8 @@ def execute_stack(
                 watches[index](mine)
             if save:
                 checkpoints.save(report.iteration + 1, progress)
+                for index, (plan, output) in enumerate(zip(plans, outputs, strict=True)):
+                    save_policies(_part(progress, index)["state"], plan.config, output)
             if tracker is not None:
                 tracker.check()
             if watch is not None:
@@ -133,7 +135,7 @@ def execute_stack(
             waiting = _finished(state, len(plans))
 
         return [
-            _result(plan, output, jax.tree.map(lambda x, i=index: x[i : i + 1], progress))
+            _result(plan, output, _part(progress, index))
             for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
         ]
 
@@ -190,6 +192,12 @@ def _pad(expert: Expert, num_episodes: int) -> Expert:
     return padded
 
 
+def _part(progress: dict[str, Any], index: int) -> dict[str, Any]:
+    """What one run's own checkpoint holds."""
+    part: dict[str, Any] = jax.tree.map(lambda x: x[index : index + 1], progress)
+    return part
+
+
 def _finished(state: Any, num_runs: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(getattr(state, "finished", False)), num_runs)
 
@@ -214,11 +222,10 @@ def _result(plan: Plan, output: Path, progress: dict[str, Any]) -> Result | User
     directory = output / "checkpoints"
     with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
         checkpoints.save(int(state.iteration[0]), progress)
-    policies = kept_policies(state, config)
-    policies[seed].save(output / f"seed_{seed}" / "policy.npz")
+    save_policies(state, config, output)
     return Result(
         config=config,
-        policies=policies,
+        policies=kept_policies(state, config),
         kept_iterations={seed: int(state.kept.iteration[0])},
         expert_returns=np.asarray(plan.demonstrations.returns) if plan.demonstrations else None,
     )

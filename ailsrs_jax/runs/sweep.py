@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ailsrs_jax.data.files import read_json_object, write_atomically
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import InUseError, UserError, one_line
 from ailsrs_jax.runs.run import Result, execute
 from ailsrs_jax.runs.stacking import execute_stack
-from ailsrs_jax.runs.sweep_cells import Cell, Sweep, load_sweep
+from ailsrs_jax.runs.sweep_cells import Cell, Sweep
 from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
 from ailsrs_jax.runs.sweep_ray import run_on_ray
-from ailsrs_jax.runs.sweep_spec import expand, read_spec
+from ailsrs_jax.runs.sweep_spec import MOST_CELLS, expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
     DONE,
+    RESULT_FILE,
     Stopwatch,
     TableRow,
     failed_row,
@@ -31,6 +32,8 @@ from ailsrs_jax.runs.tracking import IterationReport
 
 SWEEP_FILE = "sweep.json"
 MAX_PARALLEL = 64  # cells in one program; whatever the machine, so that all shards agree
+
+STACK_FILE = "cells.json"  # in the directory of an unfinished stack
 
 LAUNCHERS = ("local", "ray")
 
@@ -110,8 +113,10 @@ def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list
         UserError: there is no such shard, or nothing may run.
     """
     index, count = shard
-    if not 0 <= index < count:
-        raise UserError(f"shard {index}/{count}: write I/N with I from 0 to N - 1")
+    if not 0 <= index < count <= MOST_CELLS:
+        raise UserError(
+            f"shard {index}/{count}: write I/N with I from 0 to N - 1, and N at most {MOST_CELLS}"
+        )
     if max_parallel < 1:
         raise UserError(f"max_parallel is {max_parallel}: it must be at least 1")
     programs: dict[str, list[Cell]] = {}
@@ -156,6 +161,7 @@ def run_units(
     On this machine ``stop`` is asked after every iteration; if true, what is trained is saved and
     KeyboardInterrupt raised.
     """
+    _require_same_stacks(units, output)
     rows = write_tables(output, grid.cells)
     if launcher == "local":
         for unit in units:
@@ -175,45 +181,6 @@ def run_units(
     return rows
 
 
-def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[TableRow]:
-    """Copy what the shards ``sources`` of one sweep have finished, and write the tables of all.
-
-    ``merge_sweeps("runs/paper", ["shards/0", "shards/1"])``, after two calls of :func:`sweep` with
-    ``shard=(0, 2)`` and ``shard=(1, 2)``.
-
-    Returns:
-        The rows of ``results.csv``.
-
-    Raises:
-        UserError: they are not of the same sweep, or cannot be read or written.
-    """
-    if not sources:
-        raise UserError("nothing to merge: give the directories of the shards")
-    output, (first, *others) = Path(output), map(Path, sources)
-    grid = load_sweep(first / SWEEP_FILE)
-    for source in others:
-        grid.require_same(source / SWEEP_FILE)
-    grid.save(output / SWEEP_FILE)
-    for source in (first, *others):
-        for cell in grid.cells:
-            name = Path("cells", cell.name)
-            if load_result(source / name) is not None and not is_done(output, cell):
-                _copy(source / name, output / name)
-    return write_tables(output, grid.cells)
-
-
-def _copy(source: Path, target: Path) -> None:
-    """A directory, in place of another one, which is whole until it is replaced."""
-    try:
-        temporary = target.with_name(f".{target.name}")
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.copytree(source, temporary)
-        shutil.rmtree(target, ignore_errors=True)
-        temporary.rename(target)
-    except OSError as error:
-        raise UserError(f"cannot copy {source} to {target}: {error}") from error
-
-
 def run_unit(
     unit: Unit,
     output: Path,
@@ -224,9 +191,11 @@ def run_unit(
 ) -> None:
     """Train cells together, or go on with them, and evaluate what they have kept."""
     cells = [cell for cell in unit if not is_done(output, cell)]
+    if not cells:
+        return  # another process has finished them meanwhile
     if watch is not None:
         watch.begin(cells)
-    stack_directory = output / "stacks" / _hash("".join(cell.name for cell in unit))
+    stack_directory = _stack_directory(output, unit)
     results: dict[str, Result | UserError] = {}
     problem: Exception | None = None
     try:
@@ -249,11 +218,44 @@ def run_unit(
             timing = timing_row(cell, row, directory)
         except Exception as error:
             row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
-        save_result(directory, row, timing)
+        if not isinstance(problem, InUseError):  # who is at it will say what came of it
+            save_result(directory, row, timing)
         if watch is not None:
             watch.end(row)
     if not pending([unit], output):
         shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
+
+
+def _stack_directory(output: Path, unit: Unit) -> Path:
+    return output / "stacks" / _hash("".join(cell.name for cell in unit))
+
+
+def _begun_together(stack_directory: Path) -> list[str]:
+    """Which cells a stack began with; none if it has no checkpoint, so that nothing is lost.
+
+    Raises:
+        UserError: the file is damaged.
+    """
+    path = stack_directory / STACK_FILE
+    if not path.exists() or not any(stack_directory.glob("checkpoints/*")):
+        return []
+    names = read_json_object(path, "of a stack; delete its directory").get("cells")
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
+    """Raise UserError if cells have begun to be trained together otherwise than in ``units``.
+
+    They are as far as that stack is, and its checkpoint is the only one that they have.
+    """
+    mine = {_stack_directory(output, unit) for unit in units}
+    names = {cell.name for unit in units for cell in unit}
+    for directory in (output / "stacks").glob("*"):
+        if directory not in mine and names.intersection(_begun_together(directory)):
+            raise UserError(
+                f"{directory} holds cells that are trained together, begun with another "
+                "--max-parallel: go on with that, or delete it to begin them anew"
+            )
 
 
 def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list[Cell]:
@@ -261,16 +263,15 @@ def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list
 
     Of these some may be finished by now, but they are still in its checkpoint.
     """
-    path = stack_directory / "cells.json"
-    if path.exists():
-        names = read_json_object(path, "of a stack; delete its directory").get("cells")
-        together = [cell for cell in unit if isinstance(names, list) and cell.name in names]
+    names = _begun_together(stack_directory)
+    if names:
+        together = [cell for cell in unit if cell.name in names]
         if not together:
-            raise UserError(f"{path} is of another stack: delete its directory")
+            raise UserError(f"{stack_directory} is of another stack: delete it")
         return together
     if len(pending) > 1:
         text = json.dumps({"cells": [cell.name for cell in pending]})
-        write_atomically(path, lambda file: file.write(text.encode()))
+        write_atomically(stack_directory / STACK_FILE, lambda file: file.write(text.encode()))
     return list(pending)
 
 
@@ -285,8 +286,8 @@ def _train(
     plans = [cell.make_plan() for cell in unit]
     directories = [output / "cells" / cell.name for cell in unit]
     for directory in directories:
-        if directory.exists() and not (directory / "config.json").exists():
-            shutil.rmtree(directory)  # killed before it began
+        if not (directory / "config.json").exists():
+            (directory / RESULT_FILE).unlink(missing_ok=True)  # it has failed before it began
     stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
     if len(unit) > 1:
         checkpoints = stack_directory / "checkpoints"

@@ -83,6 +83,7 @@ def expand(spec: Mapping[str, Any]) -> Sweep:
         UserError: something is wrong; the message names the grid entry.
     """
     _require_keys("the sweep", spec, COMMON_KEYS)
+    _require_ordinary_numbers(spec)
     entries = spec.get("grid", [])
     if not isinstance(entries, list) or not entries:
         raise UserError("the sweep has no [[grid]] entry: write one for each block of runs")
@@ -203,6 +204,15 @@ def _name(cell: Cell, seed: int) -> str:
     if plain != name or len(plain) > LONGEST_NAME:
         plain = f"{plain[:LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     return f"{plain}-seed{seed}"
+
+
+def _require_ordinary_numbers(value: Any) -> None:
+    """Raise UserError where a whole number is so long that Python does not even print it."""
+    if isinstance(value, Mapping | list):
+        for each in value.values() if isinstance(value, Mapping) else value:
+            _require_ordinary_numbers(each)
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        raise UserError("the sweep has a whole number that no computer counts to")
 
 
 def _require_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) -> None:

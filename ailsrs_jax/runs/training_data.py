@@ -1,5 +1,6 @@
 """What a run imitates: demonstrations from wherever they are, checked against the task."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,8 @@ def find_demonstrations(
         demonstrations, source = open_source(demonstrations, env_id, num_trajectories)
     if num_trajectories is not None:
         demonstrations = demonstrations.first(num_trajectories)
-    return demonstrations, source
+    # A name on the disk can be any bytes, which no other file could hold.
+    return demonstrations, os.fsencode(source).decode(errors="backslashreplace")
 
 
 def require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:

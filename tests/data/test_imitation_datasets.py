@@ -104,6 +104,10 @@ def refused(directory: Path, message: str = "") -> None:
 def test_directories_of_something_else(tmp_path: Path) -> None:
     refused(tmp_path, "was not written by imitation.data.serialize.save")
     refused(write(tmp_path / "a", trajectory(), leave_out=("rews", "obs")), "has no obs, rews")
+    write(tmp_path / "twice", trajectory())
+    named = json.dumps({"_data_files": [{"filename": ARROW_FILE}] * 2})
+    (tmp_path / "twice" / "state.json").write_text(named)
+    refused(tmp_path / "twice", "no state.json that names its files")
     (write(tmp_path / "b", trajectory()) / ARROW_FILE).unlink()
     refused(tmp_path / "b", f"has no file {ARROW_FILE}")
     for content in ("", "[]", "{}", '{"_data_files": 3}', '{"_data_files": [{"filename": 3}]}'):

@@ -267,6 +267,7 @@ def test_data_that_points_elsewhere_or_fills_the_memory(datasets: Path) -> None:
         "points to other files: 'episode_0/rewards'": lambda group: group.create_dataset(
             "rewards", (10,), "f4", external=outside
         ),
+        "has several names for 'episode_0/": lambda group: group.update(again=group["actions"]),
         "points to other files": lambda group: group.create_virtual_dataset("rewards", layout),
         "would grow from": lambda group: group.create_dataset(
             "rewards", (10**12,), "f4", chunks=(1024,)

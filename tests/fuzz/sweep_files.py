@@ -111,6 +111,6 @@ def make_sweep(path: Path, rng: Rng) -> None:
 
 
 def read_sweep(path: Path) -> object:
-    from ailsrs_jax.runs.sweep import merge_sweeps
+    from ailsrs_jax.runs.sweep_merge import merge_sweeps
 
     return merge_sweeps(path / "merged", [path])

@@ -109,6 +109,12 @@ def test_none_that_can_be_read_is_an_error_and_nothing_is_removed(copy: Path, ca
     assert capfd.readouterr().err == ""
 
 
+def test_hashes_in_a_pipe_are_not_waited_for(copy: Path) -> None:
+    (copy / "3" / HASHES).unlink()
+    os.mkfifo(copy / "3" / HASHES)
+    assert read(copy) == (2, 2.0)
+
+
 def test_one_that_was_never_finished_is_passed_over(copy: Path, caplog) -> None:
     (copy / "3" / HASHES).unlink()
     (copy / "4.orbax-checkpoint-tmp").mkdir()
@@ -163,7 +169,7 @@ def small_files() -> Any:
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def write_noise(directory: Path, *values: int, then: Exception | None = None) -> None:
+def write_noise(directory: Path, *values: int, then: BaseException | None = None) -> None:
     state = {"noise": np.random.default_rng(0).normal(size=10_000)}
     with Checkpoints(directory, 1) as checkpoints:
         for value in values:
@@ -183,6 +189,11 @@ def test_an_error_on_its_way_is_not_hidden_by_another(small_files, tmp_path: Pat
         write_noise(tmp_path, 1, then=KeyError("mine"))
     (record,) = caplog.records
     assert record.getMessage() == f"cannot write {tmp_path}: File too large"
+
+
+def test_who_interrupts_is_told_that_it_could_not_be_saved(small_files, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"cannot write .*: File too large"):
+        write_noise(tmp_path, 1, then=KeyboardInterrupt())
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can mount a small disk")

@@ -37,6 +37,35 @@ def start(output: Path, algorithm: str, *flags: str, **environment: str) -> subp
     )
 
 
+def start_two(
+    output: Path, algorithm: str, job: dict[str, str], *flags: str
+) -> list[subprocess.Popen[str]]:
+    flags = ("--distributed", *flags)
+    return [
+        start(output, algorithm, *flags, **job, SLURM_PROCID=rank, SLURM_LOCALID=rank)
+        for rank in ("0", "1")
+    ]
+
+
+def check_resuming(output: Path, job: dict[str, str]) -> None:
+    """Both go on from the same checkpoint; what only one of them meets ends both."""
+    whole = (output / "metrics.csv").read_bytes()
+    damaged = output / "checkpoints" / "2" / "about" / "metadata"
+    damaged.write_bytes(b"x" + damaged.read_bytes()[1:])
+    first, second = map(finish, start_two(output, "ars", job, "--resume"))
+    assert first.count("checkpoint 2 in") == 1
+    assert "is damaged: going on from 1" in first
+    assert "damaged" not in second
+    assert (output / "metrics.csv").read_bytes() == whole
+
+    (output / "metrics.csv").write_bytes(whole[: whole.index(b"\n") + 1])
+    processes = start_two(output, "ars", job, "--resume")
+    first, second = (process.communicate(timeout=240)[0] for process in processes)
+    assert [process.returncode for process in processes] == [2, 2]
+    assert "metrics.csv lacks" in first.splitlines()[-1]
+    assert second.splitlines()[-1] == "ailsrs: it has failed in another process of the run"
+
+
 def finish(process: subprocess.Popen[str]) -> str:
     output, _ = process.communicate(timeout=240)
     assert process.returncode == 0, output
@@ -53,10 +82,7 @@ def test_two_processes_are_one_run(algorithm: str, tmp_path: Path) -> None:
         "SLURM_NTASKS": "2",
     }
     together, alone = tmp_path / "together", tmp_path / "alone"
-    processes = [
-        start(together, algorithm, "--distributed", **job, SLURM_PROCID=rank, SLURM_LOCALID=rank)
-        for rank in ("0", "1")
-    ]
+    processes = start_two(together, algorithm, job)
     first, second = map(finish, processes)
     assert "devices: 2" in first
     assert "policies, metrics" in first
@@ -72,3 +98,5 @@ def test_two_processes_are_one_run(algorithm: str, tmp_path: Path) -> None:
     for seed in (0, 5):
         ours, theirs = (np.load(run / f"seed_{seed}" / "policy.npz") for run in (together, alone))
         np.testing.assert_allclose(ours["weights"], theirs["weights"], atol=1e-3)
+    if algorithm == "ars":
+        check_resuming(together, job)

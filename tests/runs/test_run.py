@@ -1,5 +1,6 @@
 import csv
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,13 @@ import jax
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
 from ailsrs_jax.runs.checkpoint import Checkpoints
+from ailsrs_jax.runs.config import read_config
+from ailsrs_jax.runs.directory import claimed
 from ailsrs_jax.runs.tracking import IterationReport
 
 ASSIGNMENTS = {
@@ -143,6 +146,26 @@ def test_another_run_is_never_overwritten_or_continued(
         run.execute(make_plan(), tmp_path / "nowhere", resume=True)
 
 
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_lock_that_is_something_else_is_left_alone(kind: str, tmp_path: Path) -> None:
+    precious, lock = tmp_path / "precious", tmp_path / "run" / ".lock"
+    precious.write_text("all I have")
+    lock.parent.mkdir()
+    config = make_plan().config
+    if kind == "link":
+        lock.symlink_to(precious)
+        with (
+            pytest.raises(UserError, match="cannot write"),
+            claimed(lock.parent, config, resume=False),
+        ):
+            pass
+    else:
+        os.mkfifo(lock)
+        with claimed(lock.parent, config, resume=False):
+            pass
+    assert precious.read_text() == "all I have"
+
+
 def test_other_versions_and_lost_rows_are_refused(
     finished: tuple[Path, run.Result], tmp_path: Path
 ) -> None:
@@ -244,6 +267,15 @@ def test_demonstrations_in_memory_are_checked_like_files() -> None:
     padded = swimmer_demonstrations().replace(lengths=np.array([10, 4, 10]))
     padded.observations[1, 4:] = np.nan  # after the end: means nothing
     assert np.isfinite(make_plan(demonstrations=padded).demonstrations.observations).all()
+
+
+def test_a_name_of_any_bytes_can_be_written_down(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"d\xe9mos.npz")
+    save_demonstrations(swimmer_demonstrations(), path)
+    config = make_plan(demonstrations=path).config
+    config.save(tmp_path / "config.json")
+    config.require_same(read_config(tmp_path / "config.json"), tmp_path / "config.json")
+    assert config.demonstrations == str(tmp_path / r"d\xe9mos.npz")
 
 
 def test_all_demonstrations_of_ones_own_are_used_unless_told() -> None:

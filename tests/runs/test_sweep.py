@@ -11,13 +11,17 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.progress import SweepProgress
+from ailsrs_jax.runs.directory import claimed
 from ailsrs_jax.runs.evaluation import evaluate_random
-from ailsrs_jax.runs.sweep import choose_units, merge_sweeps, run_units
+from ailsrs_jax.runs.sweep import choose_units, run_units
+from ailsrs_jax.runs.sweep_merge import merge_sweeps
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
     CURVE_COLUMNS,
     RESULT_COLUMNS,
     TIMING_COLUMNS,
+    failed_row,
+    save_result,
 )
 from tests.runs.toy_sweep import POINT_MASS, SEARCH, grid, quick_grid
 from tests.test_cli import ailsrs
@@ -157,7 +161,7 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
     assert sorted([*shards[0], *shards[1]], key=whole.index) == whole
     assert [sum(map(len, shard)) for shard in shards] == [5, 3]
     assert choose_units(cells, (3, 4), 3) == []
-    for shard in ((2, 2), (-1, 2), (0, 0)):
+    for shard in ((2, 2), (-1, 2), (0, 0), (0, 10**15)):
         with pytest.raises(ail.UserError, match="write I/N"):
             choose_units(cells, shard, 3)
     with pytest.raises(ail.UserError, match="max_parallel is 0"):
@@ -181,6 +185,60 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
         merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
     with pytest.raises(ail.UserError, match="no such file"):
         merge_sweeps(Path("merged"), [Path("nowhere")])
+
+
+def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
+    spec = quick_grid(settings={"num_iterations": 12})
+    ail.sweep(spec, "shard")
+    (cell,) = expand(spec).cells
+    theirs, ours = (Path(sweep, "cells", cell.name) for sweep in ("shard", "merged"))
+    done = (theirs / "result.json").read_text()
+    save_result(theirs, failed_row(cell, "no space"), None)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "merged", watch=Watch(KeyboardInterrupt(), at=11))
+    metrics = (ours / "metrics.csv").read_bytes()
+    merge_sweeps("merged", ["shard"])
+    assert (ours / "metrics.csv").read_bytes() == metrics
+    assert (ours / "checkpoints" / "10").exists()
+
+    (theirs / "result.json").write_text(done)
+    (theirs / "more").symlink_to("/dev/zero")
+    with pytest.raises(ail.UserError, match="more is no file"):
+        merge_sweeps("merged", ["shard"])
+    (theirs / "more").unlink()
+    assert [row["status"] for row in merge_sweeps("merged", ["shard"])] == ["done"]
+
+
+def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
+    spec = quick_grid(seeds=[0, 1])
+    cells = expand(spec).cells
+    units = choose_units(expand(spec), (0, 1), 1)
+    directory = Path("sweep", "cells", cells[0].name)
+    watch = Watch()
+    with claimed(directory, cells[0].make_plan().config, resume=False):
+        rows = ail.sweep(spec, "sweep", max_parallel=1, watch=watch)
+    assert [row["cell"] for row in rows] == [cells[1].name]
+    assert "another process is writing to" in watch.rows[0]["status"]
+    assert not (directory / "result.json").exists()
+
+    again = Watch()  # who has seen that something is left to do, which is done meanwhile
+    run_units(expand(spec), units[1:], Path("sweep"), watch=again)
+    assert (again.begun, again.rows) == ([], [])
+
+
+def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
+    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", watch=Watch(KeyboardInterrupt(), at=11))
+    cells = [path for path in Path("sweep/cells").iterdir() if path.is_dir()]
+    for cell in cells:  # as of a run alone
+        assert list(cell.glob("seed_*/policy.npz"))
+    rows = [(cell / "metrics.csv").read_bytes() for cell in cells]
+    with pytest.raises(ail.UserError, match="begun with another --max-parallel"):
+        ail.sweep(spec, "sweep", max_parallel=1)
+    assert rows == [(cell / "metrics.csv").read_bytes() for cell in cells]
+    ail.sweep(spec, "sweep")
+    assert not list(Path("sweep/stacks").iterdir())
 
 
 def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
@@ -233,6 +291,8 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert (planned["num_cells"], planned["env_steps"]) == (2, 2 * 3 * 16 * 20)
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", "half") == 2
     assert "--shard half: write I/N" in capsys.readouterr().err
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", f"0/{'9' * 5000}") == 2
+    assert capsys.readouterr().err.startswith("ailsrs: --shard 0/999")
     assert not Path("out").exists()
 
     def interrupt(*arguments: Any) -> None:

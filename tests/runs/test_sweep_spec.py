@@ -135,12 +135,19 @@ def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
         load_result(Path("a"))
 
 
+@pytest.mark.parametrize("key", ["seeds", "episodes", "subsample", "label", "settings.noise_std"])
+def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> None:
+    Path("long.toml").write_text(f'{key} = 0x{"f" * 4000}\nenv = "hopper"\n[[grid]]\n')
+    with pytest.raises(ail.UserError, match=r"that no computer counts to|there is no key"):
+        expand(read_spec(Path("long.toml")))
+
+
 @pytest.mark.slow  # rolls out the shipped experts
 @pytest.mark.parametrize(
     ("name", "num_cells"),
     {
         "smoke": 8,
-        "paper": 144,
+        "paper": 192,
         "curves": 20,
         "ablations": 81,
         "ant_humanoid": 18,

@@ -232,6 +232,7 @@ def test_a_run_stops_where_most_diverges(tmp_path: Path) -> None:
         messages.append(str(caught.value))
         assert len((output / "metrics.csv").read_text().splitlines()) == 2
         assert (output / "checkpoints" / "0").is_dir()
+        assert (output / "seed_0" / "policy.npz").is_file()
     assert messages[0] == messages[1]
     assert "\n" not in messages[0]
 

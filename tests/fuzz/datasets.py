@@ -96,7 +96,7 @@ def make_minari(path: Path, rng: Rng) -> None:
                         continue  # it is no longer what it was
                     array = item[()]
                     del group[name]
-                    match rng.randrange(6):
+                    match rng.randrange(7):
                         case 0:
                             pass
                         case 1:
@@ -105,6 +105,8 @@ def make_minari(path: Path, rng: Rng) -> None:
                             group[name] = h5py.ExternalLink("/etc/passwd", "/x")
                         case 3:
                             group[name] = h5py.SoftLink(rng.choice(["/", "/nowhere", group.name]))
+                        case 4:  # one more name for something
+                            group[name] = rng.choice([*group.values(), group])
                         case _:
                             with contextlib.suppress(TypeError, ValueError):
                                 group[name] = odd_array(np.asarray(array), rng)

@@ -73,6 +73,8 @@ def toml_value(value: Any) -> str:
             return f"{{{', '.join(pairs)}}}"
         if isinstance(value, list):
             return f"[{', '.join(map(toml_value, value))}]"
+        if isinstance(value, int) and value >= 2**64:
+            return hex(value << 2000)  # read by Python, but with too many digits to be printed
         return "''" if value is None else json.dumps(value).replace("Infinity", "inf").lower()
     except (RecursionError, ValueError):
         return "[" * 1000

@@ -7,8 +7,9 @@ usage: python experiments/peer/compare.py [ENV] [--seeds 0 1 2] [--systems NAME 
 All learn from one file, ten trajectories of the shipped expert unless another is given, until an
 evaluation of the unperturbed or deterministic policy (four episodes) returns 0.9 of their mean, or
 for so many environment steps, or, ours, for as many iterations as the task's preset has. `ailsrs`
-and `gail` are `ailsrs train` with the default preset; `imitation-benchmark` and
-`imitation-tutorial` are `imitation_gail.py`, which see for the two settings.
+and `gail` are `ailsrs train` with the default preset, which starts from behaviour cloning;
+`gail-from-nothing` does not, nor do `imitation-benchmark` and `imitation-tutorial`, which are
+`imitation_gail.py`: see there for the two settings.
 
 How time is measured: each run is a process of its own, alone on the machine, seed after seed. Every
 system appends what it evaluates to a file, at which this process looks twenty times a second; the
@@ -45,7 +46,8 @@ from ailsrs_jax.envs.registry import resolve_env_id, short_name
 
 HERE = Path(__file__).resolve().parent
 PEER_PYTHON = HERE.parents[1] / ".venv-peer/bin/python"
-SYSTEMS = ("ailsrs", "gail", "imitation-benchmark", "imitation-tutorial")
+SYSTEMS = ("ailsrs", "gail", "gail-from-nothing", "imitation-benchmark", "imitation-tutorial")
+FROM_NOTHING = ("--set", "behavior_cloning_start=false", "--iterations", "1000")
 NUM_TRAJECTORIES = 10
 SHARE = 0.9  # of the expert's mean return
 LOOK_EVERY = 0.05  # seconds
@@ -85,7 +87,9 @@ def train(
             command += ["--settings", system.removeprefix("imitation-")]
             read, file = read_lines, directory / "output"
         else:
-            command = [sys.executable, "-m", "ailsrs_jax", "train", env_id, "--algorithm", system]
+            algorithm, _, start = system.partition("-")
+            command = [sys.executable, "-m", "ailsrs_jax", "train", env_id]
+            command += ["--algorithm", algorithm, *(FROM_NOTHING if start else ())]
             command += ["--demonstrations", demonstrations, "--seeds", str(seed)]
             command += ["--output", directory / "run"]
             read, file = read_metrics, directory / "run" / "metrics.csv"

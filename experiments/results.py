@@ -48,8 +48,10 @@ say of what its own is), and with three seeds it is a rough one.
 What differs from the paper: settings are those of the
 [tuned presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions
 for 320, a start from behaviour cloning on every task, a gradient penalty and a memory; tasks are
-version 5, not 2, and the experts others, so returns are compared as shares of the expert's. The
-paper does not say what its BC trains: here it is AILSRS's linear policy.
+version 5, not 2, and the experts others, so returns are compared as shares of the expert's. As in
+the paper, GAIL starts from behaviour cloning on HalfCheetah and from nothing elsewhere; it gets
+about as much time as AILSRS, not as many steps as it might want. The paper does not say what its BC
+trains: `BC` is of AILSRS's linear policy, and `neural BC`, of GAIL's network, decides no claim.
 [docs/figures.md](../docs/figures.md) explains the figures."""
 
 

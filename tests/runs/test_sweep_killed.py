@@ -61,6 +61,11 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
+def finish(process: subprocess.Popen[str], timeout: float | None = None) -> None:
+    printed = process.communicate(timeout=timeout)
+    assert process.returncode == 0, printed
+
+
 def tables(directory: str) -> list[bytes]:
     return [Path(directory, name).read_bytes() for name in ("results.csv", "curves.csv")]
 
@@ -71,8 +76,7 @@ def test_killed_ten_times_it_ends_with_the_same_tables(spec: str, max_parallel: 
     duration = 0.0
     for output in ("whole", "again"):  # the second finds its programs compiled, as all others will
         started = time.monotonic()
-        process = start(*arguments, "--output", output)
-        assert process.wait() == 0, process.communicate()
+        finish(start(*arguments, "--output", output))
         duration = time.monotonic() - started
     assert tables("whole")[0].count(b",done\n") == 8
     assert tables("again") == tables("whole")
@@ -84,24 +88,22 @@ def test_killed_ten_times_it_ends_with_the_same_tables(spec: str, max_parallel: 
         process = start(*arguments, "--output", output)
         try:
             wait = rng.uniform(0.0, duration) if num_kills < NUM_KILLS else None
-            assert process.wait(wait) == 0, process.communicate()
+            finish(process, wait)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
-            process.wait()
+            process.communicate()
             num_kills += 1
         else:
             assert tables(output) == tables("whole")
             num_finished += 1
-        process.communicate()
 
 
 def test_shards_in_one_directory_at_the_same_time(spec: str) -> None:
-    whole = start(spec, "--output", "whole", "--max-parallel", "2")
-    assert whole.wait() == 0, whole.communicate()
+    finish(start(spec, "--output", "whole", "--max-parallel", "2"))
     arguments = (spec, "--output", "shared", "--max-parallel", "2", "--shard")
     shards = [start(*arguments, f"{index}/3") for index in range(3)]
     for shard in shards:
-        assert shard.wait() == 0, shard.communicate()
+        finish(shard)
     assert tables("shared") == tables("whole")
 
 
@@ -117,13 +119,12 @@ def ray_worker() -> int:
 
 def test_on_ray(spec: str) -> None:
     pytest.importorskip("ray")
-    whole = start(spec, "--output", "whole")
-    assert whole.wait() == 0, whole.communicate()
+    finish(start(spec, "--output", "whole"))
     on_ray = start(spec, "--output", "ray", "--launcher", "ray")
     # As soon as a worker trains, it is lost.
     while not list(Path("ray").glob("cells/*/metrics.csv")):
         assert on_ray.poll() is None, on_ray.communicate()
         time.sleep(0.1)
     os.kill(ray_worker(), signal.SIGKILL)
-    assert on_ray.wait() == 0, on_ray.communicate()
+    finish(on_ray)
     assert tables("ray") == tables("whole")

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import subprocess
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from experiments.claims import CLAIMS
 from experiments.evidence import (
     CHEETAH,
     HOPPER,
+    NUM_SEEDS,
     NUMBERS,
     PAPER_EXPERTS,
     SWIMMER,
@@ -207,6 +209,13 @@ def test_a_missing_seed_leaves_the_claim_open(tmp_path: Path) -> None:
     assert verdict(["done"] * 3) == "reproduced"
     assert verdict(["done"] * 2) == "not yet run"
     assert verdict(["done"] * 3 + ["failed: it diverged"]) == "not yet run"
+
+
+def test_as_many_seeds_are_wanted_as_the_sweeps_are_asked_for() -> None:
+    for name, number in NUM_SEEDS.items():
+        spec = tomllib.loads((results.EXPERIMENTS / f"{name}.toml").read_text())
+        assert len(spec["seeds"]) == number
+        assert not any("seeds" in entry for entry in spec["grid"])
 
 
 def test_times_of_different_machines_are_not_compared(tmp_path: Path) -> None:

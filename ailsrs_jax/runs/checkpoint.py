@@ -197,7 +197,7 @@ class Checkpoints:
     def _seal(self, num_done: int) -> None:
         """Wait until the checkpoint is written, and declare it whole."""
         self._manager.wait_until_finished()
-        if jax.process_index() == 0:
+        if is_first_process():
             directory = self._directory / str(num_done)
             hashes = _hashes(directory).encode()
             write_atomically(directory / HASHES, lambda file: file.write(hashes))

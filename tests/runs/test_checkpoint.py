@@ -196,6 +196,18 @@ def test_who_interrupts_is_told_that_it_could_not_be_saved(small_files, tmp_path
         write_noise(tmp_path, 1, then=KeyboardInterrupt())
 
 
+def test_what_no_disk_holds_is_not_begun(tmp_path: Path, capfd) -> None:
+    write(tmp_path, 1)
+    endless = {"noise": np.broadcast_to(np.zeros(1), 10**17)}  # of eight bytes in memory
+    with (
+        Checkpoints(tmp_path, 1) as checkpoints,
+        pytest.raises(UserError, match="No space left on device"),
+    ):
+        checkpoints.save(2, endless)
+    assert read(tmp_path) == (1, 1.0)
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can mount a small disk")
 def test_a_full_disk_is_foreseen(tmp_path: Path, capfd) -> None:
     mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(tmp_path)]

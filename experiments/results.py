@@ -138,9 +138,11 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
         note = _provenance(directory / name / "provenance.json")
         done = f"{len(results.done)} of {note['cells']}"
         engines = dict.fromkeys(cell.physics for cell in results.cells)
-        machines = dict.fromkeys(timing.hardware for timing in results.timings.values())
+        machines = " and ".join(
+            dict.fromkeys(timing.hardware for timing in results.timings.values())
+        )
         commit = f"`{note['commit'][:12]}`"
-        row = [name, f"`{note['command']}`", done, ", ".join(engines), ", ".join(machines), commit]
+        row = [name, f"`{note['command']}`", done, ", ".join(engines), machines, commit]
         rows.append(row)
     header = ["sweep", "command", "cells done", "engine", "hardware", "commit"]
     return markdown_table(header, rows)

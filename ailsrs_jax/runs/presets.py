@@ -124,7 +124,7 @@ _ARS_PAPER: Presets = {
     ),
 }
 
-# After the same, for fewer iterations of more directions.
+# Changed by hand from those.
 _ARS_TUNED: Presets = {
     **_ARS_PAPER,
     "HalfCheetah-v5": ArsSettings(

@@ -5,11 +5,11 @@ usage: python experiments/peer/compare.py [ENV] [--seeds 0 1 2] [--systems NAME 
        make peer                                       (installs .venv-peer first; ENV is hopper)
 
 All learn from one file, ten trajectories of the shipped expert unless another is given, until an
-evaluation of the unperturbed or deterministic policy (four episodes) returns 0.9 of their mean, or
-for so many environment steps, or, ours, for as many iterations as the task's preset has. `ailsrs`
-and `gail` are `ailsrs train` with the default preset, which starts from behaviour cloning;
-`gail-from-nothing` does not, nor do `imitation-benchmark` and `imitation-tutorial`, which are
-`imitation_gail.py`: see there for the two settings.
+evaluation of the unperturbed or deterministic policy (four episodes, of `ailsrs` sixteen) returns
+0.9 of their mean, or for so many environment steps, or, ours, for as many iterations as the task's
+preset has. `ailsrs` and `gail` are `ailsrs train` with the default preset, which starts from
+behaviour cloning; `gail-from-nothing` does not, nor do `imitation-benchmark` and
+`imitation-tutorial`, which are `imitation_gail.py`: see there for the two settings.
 
 How time is measured: each run is a process of its own, alone on the machine, seed after seed. Every
 system appends what it evaluates to a file, at which this process looks twenty times a second; the

@@ -31,7 +31,7 @@ from typing import Any
 NUM_ENVS = 8
 NUM_THREADS = 1  # PyTorch's: networks this small gain nothing from more, and lose where others run
 EVALUATE_EVERY = 10_000  # steps; at the end of the round in which they are full
-NUM_EVALUATION_EPISODES = 4  # as many as in an iteration of ours
+NUM_EVALUATION_EPISODES = 4  # as many as in an iteration of our `gail`
 TASKS = {
     "Ant-v5": "ant",
     "HalfCheetah-v5": "half_cheetah",

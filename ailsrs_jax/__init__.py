@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.evolution import EvolutionSettings as EvolutionSettings
     from ailsrs_jax.runs.expert import train_expert as train_expert
     from ailsrs_jax.runs.export import export as export
+    from ailsrs_jax.runs.metrics import IterationReport as IterationReport
     from ailsrs_jax.runs.policies import jax_policy as jax_policy
     from ailsrs_jax.runs.policies import load_expert as load_expert
     from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.run import train as train
     from ailsrs_jax.runs.sweep import sweep as sweep
     from ailsrs_jax.runs.sweep_merge import merge_sweeps as merge_sweeps
-    from ailsrs_jax.runs.tracking import IterationReport as IterationReport
     from ailsrs_jax.sweep_report import report_sweep as report_sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
@@ -76,7 +76,7 @@ _HOMES = {
     "EvolutionSettings": "runs.evolution",
     "Gail": "trainers.gail",
     "GailSettings": "trainers.gail",
-    "IterationReport": "runs.tracking",
+    "IterationReport": "runs.metrics",
     "MujocoTask": "envs.mujoco_task",
     "PpoSettings": "runs.ppo",
     "Recording": "data.episodes",

@@ -90,8 +90,8 @@ def train(
         settings: Settings to change, as in --set noise_std=0.02 num_directions=64; a wrong name
             lists them all.
         physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        rollout_batch_size: Simulations of a device at a time, for less memory; by default all, or
-            what is fastest.
+        rollout_batch_size: Simulations of a device at a time, in random search, for less memory;
+            by default all, or what is fastest.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Go on from the newest checkpoint in the output directory.
         checkpoint_every: Save the whole state every K iterations.

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 
 from ailsrs_jax.data.files import write_atomically
 from ailsrs_jax.figures import COLORS, EXPERT, STYLE
+from ailsrs_jax.runs.metrics import read_metrics
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.saved_run import SavedRun
-from ailsrs_jax.runs.tracking import read_metrics
 
 # What is drawn of what a run has measured, and the range of its axis.
 PANELS = {

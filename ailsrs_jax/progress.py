@@ -18,12 +18,13 @@ from rich.table import Table
 
 from ailsrs_jax.runs.benchmark import Row
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep import Unit, is_done
 from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.runs.sweep_estimate import Estimate, estimated_env_steps
-from ailsrs_jax.runs.sweep_tables import DONE, TableRow
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.sweep_estimate import CostEstimate, estimated_env_steps
+from ailsrs_jax.runs.sweep_results import DONE
+from ailsrs_jax.runs.sweep_tables import TableRow
 from ailsrs_jax.terminal import evaluation_fields
 
 LINES_IN_A_LOG = 20  # where there is no terminal to redraw
@@ -245,7 +246,7 @@ def print_benchmark(console: Console, rows: Sequence[Row], ratios: Mapping[str, 
     console.print(table)
 
 
-def print_estimate(console: Console, estimates: Sequence[Estimate]) -> None:
+def print_estimate(console: Console, estimates: Sequence[CostEstimate]) -> None:
     """The table of ``ailsrs sweep --dry-run``."""
     columns = ("algorithm", "environment", "physics", "cells", "programs", "steps, at most")
     table = Table(*columns, "memory", "physics alone", box=None)

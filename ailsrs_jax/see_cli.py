@@ -9,6 +9,7 @@ from tyro.conf import Positional, arg
 from ailsrs_jax.arguments import Flag, Json, OptionalPath, PhysicsName, Quiet
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.terminal import make_console, print_json
+from ailsrs_jax.versions import VersionError
 
 
 def render(
@@ -90,6 +91,8 @@ def report(
     """
     try:
         from ailsrs_jax import html_report
+    except VersionError:
+        raise
     except ImportError:
         raise UserError("a report needs pip install 'ailsrs_jax[plot]'") from None
 

@@ -110,7 +110,7 @@ def report(
     console: Console, rows: Sequence[Mapping[str, Any]], output: Path, *, as_json: bool
 ) -> None:
     """Write table and figures, and say what has failed: then the exit code is 1."""
-    from ailsrs_jax.runs.sweep_tables import DONE
+    from ailsrs_jax.runs.sweep_results import DONE
     from ailsrs_jax.sweep_report import report_sweep
 
     report_sweep(output)

@@ -21,7 +21,7 @@ from ailsrs_jax.runs.saved_run import SavedRun, read_run
 from ailsrs_jax.runs.statistics import Group, group_cells
 from ailsrs_jax.runs.sweep import SWEEP_FILE
 from ailsrs_jax.runs.sweep_cells import load_sweep
-from ailsrs_jax.runs.sweep_results import SweepResults, read_results
+from ailsrs_jax.runs.sweep_results import CellResult, SweepResults, read_results
 from ailsrs_jax.sweep_report import EXPLANATION, result_tables
 from ailsrs_jax.video import data_uri
 
@@ -73,20 +73,20 @@ def _runs(directory: Path, results: SweepResults) -> dict[str, SavedRun]:
 
 
 def _sweep_videos(groups: Sequence[Group], runs: dict[str, SavedRun]) -> list[Media]:
-    """Of each task the first seed of the first series, with the most demonstrations."""
+    """Of each task the first seed of each of the first series, with the most demonstrations."""
     if not runs:
         return [Media("Policies", None, "No runs are beside these tables, so no policies either.")]
     videos = []
     for task in dict.fromkeys(group.env_id for group in groups):
-        chosen: dict[str, SavedRun] = {}
-        for group in sorted(
-            (group for group in groups if group.env_id == task),
-            key=lambda group: group.num_trajectories or 0,
-        ):
-            cells = sorted((c for c in group.cells if c.cell in runs), key=lambda cell: cell.seed)
-            if cells:
-                chosen[group.series] = runs[cells[0].cell]
-        shown = dict(list(chosen.items())[: MOST_SHOWN - 1])
+        cells: dict[str, list[CellResult]] = {}
+        for group in groups:
+            there = [cell for cell in group.cells if cell.env_id == task and cell.cell in runs]
+            if there:
+                cells.setdefault(group.series, []).extend(there)
+        shown = {
+            series: runs[max(mine, key=lambda cell: (cell.num_trajectories or 0, -cell.seed)).cell]
+            for series, mine in list(cells.items())[: MOST_SHOWN - 1]
+        }
         policies = {
             label: policy for label, run in shown.items() for policy in policies_of(run).values()
         }

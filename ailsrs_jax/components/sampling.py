@@ -32,7 +32,7 @@ class StepMemory(struct.PyTreeNode):
     """
 
     steps: jax.Array  # (slots, 2, N', k, d), drawn uniformly from each episode
-    lengths: jax.Array  # (slots, 2, N) int32, of the episodes; 0 in a slot not yet filled
+    lengths: jax.Array  # (slots, 2, N) int32, live steps of each; 0 in a slot not yet filled
     num_inserted: jax.Array  # () int32, insertions ever made
 
     def insert(self, steps: jax.Array, lengths: jax.Array) -> "StepMemory":

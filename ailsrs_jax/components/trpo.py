@@ -94,7 +94,7 @@ def trust_region_step(
 
         x ≈ (F + c I)^(−1) g,   step = x √(2 d / xᵀ(F + c I)x)
 
-    by conjugate gradients, halved until the gain improves and the divergence is within
+    by conjugate gradients, halved until the gain is no smaller and the divergence is within
     :data:`DIVERGENCE_SLACK` times its bound; if it never is, the parameters stay.
 
     Args:

@@ -160,3 +160,9 @@ def require_name(name: str, source: str) -> str:
     if not (0 < len(name) <= MAX_NAME and name.isprintable()):
         raise UserError(f"{source}: env_id is not the name of an environment")
     return name
+
+
+def cache_directory() -> Path:
+    """Where things are kept that can be made again."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "ailsrs_jax"

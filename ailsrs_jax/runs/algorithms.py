@@ -24,7 +24,7 @@ class Algorithm:
     imitates: bool  # learns from demonstrations, not from the environment's reward
     searches: bool  # by directions, which devices can share
     kept_by: str  # column of metrics.csv: the smallest, but for a return, decides what is kept
-    make: Callable[..., Trainer]  # env, demonstrations if it imitates, settings, devices if …
+    make: Callable[..., Trainer]  # env, demonstrations if it imitates, settings, …
 
 
 ALGORITHMS = {

@@ -4,9 +4,7 @@ import contextlib
 import functools
 import hashlib
 import math
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +13,7 @@ import numpy as np
 from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.data.episodes import Recording
+from ailsrs_jax.data.files import cache_directory
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
@@ -185,9 +184,3 @@ def expert_demonstrations(
     with contextlib.suppress(UserError):
         save_demonstrations(demonstrations, cached)
     return demonstrations
-
-
-def cache_directory() -> Path:
-    """Where things are kept that can be made again."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "ailsrs_jax"

@@ -9,11 +9,11 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 
+from ailsrs_jax.data.files import cache_directory
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.demonstrate import cache_directory
 from ailsrs_jax.trainers.devices import AXIS, ONE_DEVICE, Devices
 
 # Simulations of a CPU core at a time. More make better use of its vector units, fewer leave less
@@ -98,7 +98,7 @@ def choose_devices(env: Env, num_directions: int) -> Devices:
 
     MuJoCo's C engine uses all cores of a process by itself, so there one device of each.
     """
-    if isinstance(env, MujocoTask) and env.physics.name == "mujoco":
+    if _steps_in_c(env):
         of_each_process = {device.process_index: device for device in reversed(jax.devices())}
         devices = [of_each_process[index] for index in sorted(of_each_process)]
     else:
@@ -117,6 +117,12 @@ def choose_batch_size(env: Env) -> int | None:
     """
     if jax.default_backend() != "cpu":
         return None
-    if isinstance(env, MujocoTask) and (env.physics.name == "mujoco" or not env.ends_early):
+    if _steps_in_c(env) or (isinstance(env, MujocoTask) and not env.ends_early):
         return None
     return CPU_BATCH_SIZE
+
+
+def _steps_in_c(env: Env) -> bool:
+    """Whether MuJoCo's C engine simulates it, whatever wraps it."""
+    inner = getattr(env, "unwrapped", env)
+    return isinstance(inner, MujocoTask) and inner.physics.name == "mujoco"

@@ -16,8 +16,8 @@ from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import RunConfig, installed_versions, read_config
 from ailsrs_jax.runs.devices import is_first_process
 from ailsrs_jax.runs.journal import Journal
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.policies import kept_policies
-from ailsrs_jax.runs.tracking import IterationReport
 
 LOCK = ".lock"
 
@@ -123,8 +123,10 @@ def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
     if not is_first_process():
         yield
         return
-    if not resume:
-        _require_empty(path)  # before the lock, which would not be welcome among others' files
+    # Before the lock, which would not be welcome among others' files; where there is one already,
+    # somebody may be writing, and to know that is better than that something is there.
+    if not resume and not (path / LOCK).exists():
+        _require_empty(path)
     with _locked(path):
         if not resume:
             _require_empty(path)

@@ -16,8 +16,9 @@ from brax.training.networks import make_policy_network
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.divergence import EndDiverged
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
+from ailsrs_jax.trainers.settings import Positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,8 +30,8 @@ class EvolutionSettings:
     num_evaluation_episodes: int = 8
     episode_length: int = 1000
     num_directions: int = 16
-    noise_std: float = 0.05
-    learning_rate: float = 0.02
+    noise_std: Positive = 0.05
+    learning_rate: Positive = 0.02
     hidden_size: int = 64  #: tanh units in each of two layers
 
 

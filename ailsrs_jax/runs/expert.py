@@ -17,10 +17,10 @@ from ailsrs_jax.runs.config import require_seed
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
 from ailsrs_jax.runs.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.iterations import iterate
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.ppo import PPO_PRESETS, PpoSettings, train_ppo
 from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.settings import override
 

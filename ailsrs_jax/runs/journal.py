@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ailsrs_jax.runs.config import RunConfig
+from ailsrs_jax.runs.metrics import IterationReport, MetricsFile
 from ailsrs_jax.runs.tensorboard import EventFiles
-from ailsrs_jax.runs.tracking import IterationReport, MetricsFile
 
 
 class Journal:

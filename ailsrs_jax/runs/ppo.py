@@ -17,9 +17,10 @@ from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.divergence import EndDiverged
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.unit_actions import UnitActions, unit_policy
 from ailsrs_jax.trainers.rollout import episode_counts, rollout
+from ailsrs_jax.trainers.settings import Positive, Signed, UpToOne
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +35,15 @@ class PpoSettings:
     unroll_length: int = 128  #: steps of an environment in a batch
     num_minibatches: int = 16  #: of num_envs / num_minibatches environments each
     num_updates_per_batch: int = 10
-    learning_rate: float = 3e-4
+    learning_rate: Positive = 3e-4
     entropy_cost: float = 0.0
-    discounting: float = 0.995
-    gae_lambda: float = 0.98
+    discounting: UpToOne = 0.995
+    gae_lambda: UpToOne = 0.98
     clipping_epsilon: float = 0.2
     reward_scaling: float = 0.1
     hidden_size: int = 64  #: tanh units in each of two layers
-    init_noise_std: float = 1.0  #: of the Gaussian, in halves of the actions' range
-    stop_at: float = 0.0  #: return at which to stop, keeping what is nearest to it; 0: never
+    init_noise_std: Positive = 1.0  #: of the Gaussian, in halves of the actions' range
+    stop_at: Signed = 0.0  #: return at which to stop, keeping what is nearest to it; 0: never
 
 
 class _StopError(Exception):

@@ -26,11 +26,11 @@ from ailsrs_jax.runs.devices import (
 )
 from ailsrs_jax.runs.directory import RunDirectory, claimed
 from ailsrs_jax.runs.iterations import iterate
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.presets import preset_settings
 from ailsrs_jax.runs.tracked import tracked
 from ailsrs_jax.runs.trackers import require_tracker
-from ailsrs_jax.runs.tracking import IterationReport
 from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.settings import override
@@ -121,8 +121,8 @@ def train(
         output: a run directory to write; without it nothing is written.
         resume: go on from the newest checkpoint in ``output``.
         checkpoint_every: save the state every so many iterations.
-        rollout_batch_size: simulations of a device at a time, for less memory; the results are
-            the same but for rounding. By default all, or what is fastest.
+        rollout_batch_size: simulations of a device at a time, in random search, for less memory;
+            the results are the same but for rounding. By default all, or what is fastest.
         track: ``wandb`` or ``trackio``, to follow the metrics there too, as docs/tracking.md says.
         watch: called after every iteration, for example with
             ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.
@@ -182,6 +182,8 @@ def make_plan(
     for seed in seeds:
         require_seed(seed)
     chosen = find_algorithm(algorithm)
+    if rollout_batch_size is not None and not chosen.searches:
+        raise UserError(f"rollout_batch_size is of random search: {algorithm} has no such episodes")
     settings = override(preset_settings(env_id, preset, algorithm), assignments)
     source = sha256 = None
     if chosen.imitates:
@@ -209,7 +211,7 @@ def make_plan(
         subsample=subsample if demonstrations else None,
     )
     devices = choose_devices(task, settings.num_directions) if chosen.searches else ONE_DEVICE
-    if rollout_batch_size is None:
+    if rollout_batch_size is None and chosen.searches:
         rollout_batch_size = choose_batch_size(task)
     return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
 

@@ -23,9 +23,9 @@ from ailsrs_jax.envs.registry import (
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm
 from ailsrs_jax.runs.config import read_config, require_seed
+from ailsrs_jax.runs.metrics import read_metrics
 from ailsrs_jax.runs.presets import changed_settings
 from ailsrs_jax.runs.run import make_plan
-from ailsrs_jax.runs.tracking import read_metrics
 from ailsrs_jax.runs.training_data import HANDED_IN, NUM_TRAJECTORIES, SHIPPED_EXPERT
 from ailsrs_jax.trainers.settings import as_text
 

@@ -15,10 +15,10 @@ from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.directory import claimed, save_policies
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.journal import Journal
+from ailsrs_jax.runs.metrics import IterationReport, read_metrics, require_most_finite
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.run import CHECKPOINT_EVERY, Plan, Result, Watch
 from ailsrs_jax.runs.tracked import tracked
-from ailsrs_jax.runs.tracking import IterationReport, read_metrics, require_most_finite
 from ailsrs_jax.trainers.expert import Expert
 from ailsrs_jax.trainers.trainer import Trainer
 

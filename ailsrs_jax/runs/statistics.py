@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, stats
 
-from ailsrs_jax.runs.sweep_results import Cell, Curve
+from ailsrs_jax.runs.sweep_results import CellResult, Curve
 
 CONFIDENCE = 0.95
 NUM_RESAMPLES = 5000
@@ -34,7 +34,7 @@ class Group:
     """The cells that differ in their seed only."""
 
     series: str  # what it is called in tables and figures
-    cells: tuple[Cell, ...]  # those done, at least one
+    cells: tuple[CellResult, ...]  # those done, at least one
     num_planned: int  # those done, and those not
 
     @property
@@ -57,11 +57,12 @@ class Group:
         return np.array([getattr(cell, name) for cell in self.cells], float)
 
 
-def series_names(cells: Iterable[Cell]) -> dict[str, str]:
+def series_names(cells: Iterable[CellResult]) -> dict[str, str]:
     """What each cell's series is called, by the cell's name.
 
-    It is the label, with the preset, the settings, the engine, the demonstrations and how they are
-    thinned out where cells of that label differ in them on the same task with as many of them.
+    It is the label, with the algorithm, the preset, the settings, the engine, the demonstrations
+    and how they are thinned out where cells of that label differ in them on the same task with as
+    many of them.
     """
     cells = list(cells)
     variants: dict[tuple[str, str, int | None], set[tuple[str, ...]]] = {}
@@ -78,8 +79,9 @@ def series_names(cells: Iterable[Cell]) -> dict[str, str]:
     return names
 
 
-def _variant(cell: Cell) -> tuple[str, ...]:
+def _variant(cell: CellResult) -> tuple[str, ...]:
     return (
+        cell.algorithm,
         cell.preset,
         cell.settings.replace(";", ", ") or "as preset",
         cell.physics,
@@ -88,11 +90,11 @@ def _variant(cell: Cell) -> tuple[str, ...]:
     )
 
 
-def group_cells(cells: Iterable[Cell]) -> list[Group]:
+def group_cells(cells: Iterable[CellResult]) -> list[Group]:
     """The groups with at least one cell done, in the order of ``cells``."""
     cells = list(cells)
     names = series_names(cells)
-    groups: dict[Hashable, list[Cell]] = {}
+    groups: dict[Hashable, list[CellResult]] = {}
     for cell in cells:
         key = (names[cell.cell], cell.env_id, cell.num_trajectories)
         groups.setdefault(key, []).append(cell)

@@ -9,14 +9,15 @@ from typing import Any, Protocol
 
 from ailsrs_jax.data.files import read_json_object, write_atomically
 from ailsrs_jax.errors import InUseError, UserError, one_line
+from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.run import Result, execute
 from ailsrs_jax.runs.stacking import execute_stack
 from ailsrs_jax.runs.sweep_cells import Cell, Sweep
 from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
 from ailsrs_jax.runs.sweep_ray import run_on_ray
+from ailsrs_jax.runs.sweep_results import DONE
 from ailsrs_jax.runs.sweep_spec import MOST_CELLS, expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
-    DONE,
     RESULT_FILE,
     Stopwatch,
     TableRow,
@@ -28,12 +29,12 @@ from ailsrs_jax.runs.sweep_tables import (
     write_tables,
 )
 from ailsrs_jax.runs.trackers import require_tracker
-from ailsrs_jax.runs.tracking import IterationReport
 
 SWEEP_FILE = "sweep.json"
 MAX_PARALLEL = 64  # cells in one program; whatever the machine, so that all shards agree
 
 STACK_FILE = "cells.json"  # in the directory of an unfinished stack
+CHECKPOINTS = "checkpoints/*"  # of a stack or a cell
 
 LAUNCHERS = ("local", "ray")
 
@@ -193,37 +194,45 @@ def run_unit(
     cells = [cell for cell in unit if not is_done(output, cell)]
     if not cells:
         return  # another process has finished them meanwhile
-    if watch is not None:
-        watch.begin(cells)
     stack_directory = _stack_directory(output, unit)
-    results: dict[str, Result | UserError] = {}
-    problem: Exception | None = None
-    try:
-        together = _stacked(unit, cells, stack_directory)
-        trained = _train(together, output, stack_directory, track, watch, stop)
-        results = {cell.name: result for cell, result in zip(together, trained, strict=True)}
-    except Exception as error:  # of whatever kind: the others can still be trained
-        problem = error
-    for cell in cells:
-        if stop():  # an evaluation takes its time
-            raise KeyboardInterrupt
-        directory, timing = output / "cells" / cell.name, None
-        try:
-            if problem is not None:
-                raise problem
-            result = results[cell.name]
-            if isinstance(result, UserError):
-                raise result
-            row = finished_row(cell, result, directory, episodes)
-            timing = timing_row(cell, row, directory)
-        except Exception as error:
-            row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
-        if not isinstance(problem, InUseError):  # who is at it will say what came of it
-            save_result(directory, row, timing)
+    for group in _groups(unit, cells, output):
         if watch is not None:
-            watch.end(row)
+            watch.begin([cell for cell in group if cell in cells])
+        outcomes: Sequence[Result | Exception]
+        try:
+            outcomes = _train(group, output, stack_directory, track, watch, stop)
+        except Exception as error:  # of whatever kind: the others can still be trained
+            outcomes = [error] * len(group)
+        for cell, outcome in zip(group, outcomes, strict=True):
+            if cell in cells:
+                _finish(cell, outcome, output, episodes, watch, stop)
     if not pending([unit], output):
         shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
+
+
+def _finish(
+    cell: Cell,
+    outcome: Result | Exception,
+    output: Path,
+    episodes: int,
+    watch: SweepWatch | None,
+    stop: Callable[[], bool],
+) -> None:
+    """Evaluate what a cell has kept, or note why it has failed."""
+    if stop():  # an evaluation takes its time
+        raise KeyboardInterrupt
+    directory, timing = output / "cells" / cell.name, None
+    try:
+        if isinstance(outcome, Exception):
+            raise outcome
+        row = finished_row(cell, outcome, directory, episodes)
+        timing = timing_row(cell, row, directory)
+    except Exception as error:
+        row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
+    if not isinstance(outcome, InUseError):  # who is at it will say what came of it
+        save_result(directory, row, timing)
+    if watch is not None:
+        watch.end(row)
 
 
 def _stack_directory(output: Path, unit: Unit) -> Path:
@@ -237,7 +246,7 @@ def _begun_together(stack_directory: Path) -> list[str]:
         UserError: the file is damaged.
     """
     path = stack_directory / STACK_FILE
-    if not path.exists() or not any(stack_directory.glob("checkpoints/*")):
+    if not path.exists() or not any(stack_directory.glob(CHECKPOINTS)):
         return []
     names = read_json_object(path, "of a stack; delete its directory").get("cells")
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
@@ -251,28 +260,33 @@ def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     mine = {_stack_directory(output, unit) for unit in units}
     names = {cell.name for unit in units for cell in unit}
     for directory in (output / "stacks").glob("*"):
-        if directory not in mine and names.intersection(_begun_together(directory)):
+        begun = _begun_together(directory)
+        if directory not in mine and names.intersection(begun):
             raise UserError(
                 f"{directory} holds cells that are trained together, begun with another "
                 "--max-parallel: go on with that, or delete it to begin them anew"
             )
 
 
-def _stacked(unit: Unit, pending: Sequence[Cell], stack_directory: Path) -> list[Cell]:
-    """What is trained together: those that an unfinished stack began with, else the pending.
+def _groups(unit: Unit, pending: Sequence[Cell], output: Path) -> list[list[Cell]]:
+    """The pending cells of ``unit``, each group to be trained together.
 
-    Of these some may be finished by now, but they are still in its checkpoint.
+    Those that an unfinished stack began with go on together; of these some may be finished by now,
+    but they are still in its checkpoint. Who has a checkpoint of its own goes on alone.
     """
-    names = _begun_together(stack_directory)
-    if names:
-        together = [cell for cell in unit if cell.name in names]
-        if not together:
-            raise UserError(f"{stack_directory} is of another stack: delete it")
-        return together
-    if len(pending) > 1:
-        text = json.dumps({"cells": [cell.name for cell in pending]})
-        write_atomically(stack_directory / STACK_FILE, lambda file: file.write(text.encode()))
-    return list(pending)
+    stack_directory = _stack_directory(output, unit)
+    begun = _begun_together(stack_directory)
+    if begun:
+        together = [cell for cell in unit if cell.name in begun]
+    else:
+        together = [
+            cell for cell in pending if not any((output / "cells" / cell.name).glob(CHECKPOINTS))
+        ]
+        if len(together) > 1:
+            text = json.dumps({"cells": [cell.name for cell in together]})
+            write_atomically(stack_directory / STACK_FILE, lambda file: file.write(text.encode()))
+    alone = [[cell] for cell in pending if cell not in together]
+    return [*alone, together] if together else alone
 
 
 def _train(

@@ -22,7 +22,7 @@ TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # of the measurement of speed
 
 
 @dataclasses.dataclass(frozen=True)
-class Estimate:
+class CostEstimate:
     """What the cells of an algorithm on a task will cost."""
 
     algorithm: str
@@ -35,7 +35,7 @@ class Estimate:
     seconds: float | None  # at the speed of physics alone, where that is quickly measured
 
 
-def estimate(units: Sequence[Sequence[Cell]]) -> list[Estimate]:
+def estimate(units: Sequence[Sequence[Cell]]) -> list[CostEstimate]:
     """Of ``units`` of cells that are trained together, by algorithm and task."""
     kinds: dict[tuple[str, str, str], list[Sequence[Cell]]] = {}
     for unit in units:
@@ -48,7 +48,7 @@ def estimate(units: Sequence[Sequence[Cell]]) -> list[Estimate]:
         # MJX takes longer to compile than this is worth.
         speed = _steps_per_second(env_id, cells[0].physics) if engine == "mujoco" else None
         estimates.append(
-            Estimate(
+            CostEstimate(
                 algorithm=algorithm,
                 env_id=env_id,
                 engine=engine,

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.tracking import read_rows
+from ailsrs_jax.runs.metrics import read_rows
+
+DONE = "done"
 
 
 @dataclasses.dataclass(frozen=True)
-class Cell:
+class CellResult:
     """One row of ``results.csv``: an algorithm on a task, with one seed. NaN is an empty field."""
 
     cell: str  # its name
@@ -38,12 +40,12 @@ class Cell:
     expert_return: float  # NaN where there is no expert, as on one's own task
     random_return: float
     normalized: float  # return_mean as a score: 0 is random, 1 the expert
-    status: str  # "done", or "failed: why"
+    status: str  # DONE, or "failed: why"
 
     @property
     def done(self) -> bool:
         """Whether it ended with a policy."""
-        return self.status == "done"
+        return self.status == DONE
 
     @property
     def normalized_over_training(self) -> float:
@@ -79,12 +81,12 @@ class Timing:
 class SweepResults:
     """Everything a sweep has measured; of cells that failed there may be no curve or timing."""
 
-    cells: tuple[Cell, ...]  # in the sweep's order
+    cells: tuple[CellResult, ...]  # in the sweep's order
     curves: dict[str, Curve]  # by the cell's name
     timings: dict[str, Timing]  # by the cell's name
 
     @property
-    def done(self) -> list[Cell]:
+    def done(self) -> list[CellResult]:
         """The cells that ended with a policy."""
         return [cell for cell in self.cells if cell.done]
 
@@ -106,9 +108,9 @@ def read_results(directory: Path) -> SweepResults:
     Raises:
         UserError: one cannot be read, lacks a column or a value, or holds what is not a number.
     """
-    cells: dict[str, Cell] = {}
+    cells: dict[str, CellResult] = {}
     path = directory / "results.csv"
-    for where, row in _read_table(path, [field.name for field in dataclasses.fields(Cell)]):
+    for where, row in _read_table(path, [field.name for field in dataclasses.fields(CellResult)]):
         cell = _cell(where, row)
         if cell.cell in cells:
             raise UserError(f"{where}: cell {cell.cell} is there twice")
@@ -120,7 +122,7 @@ def read_results(directory: Path) -> SweepResults:
     )
 
 
-def _cell(where: str, row: dict[str, str]) -> Cell:
+def _cell(where: str, row: dict[str, str]) -> CellResult:
     values: dict[str, Any] = {name: row[name] for name in _TEXT}
     for name in row.keys() - values.keys():
         values[name] = _number(where, name, row[name])
@@ -134,7 +136,7 @@ def _cell(where: str, row: dict[str, str]) -> Cell:
     for name in ("seed", "subsample"):
         if values[name] is None:
             raise UserError(f"{where}: there is no {name}")
-    cell = Cell(**values)
+    cell = CellResult(**values)
     if cell.done:
         for name in _MEASURED:
             if not math.isfinite(values[name]):

@@ -1,6 +1,7 @@
 """What a sweep leaves: a row for each cell, learning curves, and wall-clock times apart."""
 
 import csv
+import dataclasses
 import functools
 import io
 import json
@@ -19,18 +20,13 @@ from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
+from ailsrs_jax.runs.metrics import IterationReport, read_metrics, read_rows
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.runs.tracking import IterationReport, read_rows
+from ailsrs_jax.runs.sweep_results import DONE, CellResult
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 
-RESULT_COLUMNS = (
-    *("cell", "label", "algorithm", "env_id", "preset", "settings"),
-    *("demonstrations", "num_trajectories", "subsample", "seed"),
-    *("physics", "iterations", "env_steps", "kept_iteration"),
-    *("return_mean", "return_std", "length_mean", "last_return", "mean_return_over_training"),
-    *("steps_to_90", "expert_return", "random_return", "normalized", "status"),
-)
+RESULT_COLUMNS = tuple(field.name for field in dataclasses.fields(CellResult))
 CURVE_COLUMNS = (
     *("cell", "iteration", "env_steps", "evaluation_return", "evaluation_length"),
     *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
@@ -38,7 +34,6 @@ CURVE_COLUMNS = (
 TIMING_COLUMNS = (
     *("cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"),
 )
-DONE = "done"
 RESULT_FILE = "result.json"  # in a cell's directory, when it is finished or has failed
 SECONDS_FILE = "seconds.csv"  # in a cell's directory, a line for each iteration
 
@@ -66,9 +61,8 @@ class Stopwatch:
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
     """What ``results.csv`` says of a cell that is trained; its policy is evaluated here."""
     config = result.config
-    header, *rows = read_rows(directory / "metrics.csv")
-    columns = dict(zip(header, np.array(rows, float).T, strict=True))
-    returns, steps = columns["evaluation_return"], columns["env_steps"]
+    metrics = read_metrics(directory / "metrics.csv")
+    returns, steps = metrics["evaluation_return"], metrics["env_steps"]
     policy = result.policies[cell.seed]
     physics = "gymnasium" if config.env_id in TASKS else cell.physics
     evaluation = evaluate(policy, episodes, physics)
@@ -83,7 +77,7 @@ def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> 
     if expert is not None and expert != random:
         normalized = (evaluation.mean - random) / (expert - random)
     return cell_columns(cell) | {
-        "iterations": len(rows),
+        "iterations": len(steps),
         "env_steps": int(steps[-1]),
         "kept_iteration": result.kept_iterations[cell.seed],
         "return_mean": evaluation.mean,
@@ -130,9 +124,8 @@ def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
     compiling = sum(float(line[2]) for line in lines if len(line) == 3)
     to_90 = None
     if row["steps_to_90"] is not None:
-        header, *rows = read_rows(directory / "metrics.csv")
-        steps = [int(each[header.index("env_steps")]) for each in rows]
-        reached = steps.index(row["steps_to_90"])
+        steps = read_metrics(directory / "metrics.csv")["env_steps"]
+        reached = int(np.searchsorted(steps, row["steps_to_90"]))
         to_90 = sum(seconds.get(index, 0.0) for index in range(reached + 1))
     return {
         "cell": cell.name,
@@ -179,7 +172,7 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
     Several processes may share the directory: whoever is the last to write has seen what the others
     have finished, because each looks again after it has written.
     """
-    written: list[tuple[TableRow, TableRow | None]] | None = None
+    written = None
     while True:
         found = [(cell, load_result(output / "cells" / cell.name)) for cell in cells]
         # What is known of a cell is added, lest an earlier version's result lacks some of it.
@@ -188,14 +181,15 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
             for cell, result in found
             if result is not None
         ]
-        if results == written:
+        seen = json.dumps(results)  # NaN is not equal to itself
+        if seen == written:
             return [row for row, _ in results]
         rows = [row for row, _ in results]
         _write_csv(output / "results.csv", RESULT_COLUMNS, rows)
         _write_csv(output / "curves.csv", CURVE_COLUMNS, _curves(output, rows))
         timings = [timing for _, timing in results if timing is not None]
         _write_csv(output / "timings.csv", TIMING_COLUMNS, timings)
-        written = results
+        written = seen
 
 
 def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:

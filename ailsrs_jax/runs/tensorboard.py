@@ -16,7 +16,7 @@ from tensorboardX.record_writer import masked_crc32c
 
 from ailsrs_jax.errors import one_line
 from ailsrs_jax.runs.config import RunConfig
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.metrics import IterationReport
 
 GROUP = "metrics/"  # TensorBoard shows in one section what has the same prefix
 HPARAM_METRICS = ("evaluation_return", "evaluation_length")

@@ -54,7 +54,11 @@ def open_wandb(about: About) -> Opened:
         resume="allow",
         reinit="create_new",  # there is one for each seed
         settings=wandb.Settings(
-            console="off", disable_git=True, silent=True, init_timeout=PATIENCE
+            console="off",
+            disable_git=True,
+            silent=True,
+            symlink=False,  # `ailsrs merge` copies files only
+            init_timeout=PATIENCE,
         ),
     )
     run.define_metric("*", step_metric="env_steps")

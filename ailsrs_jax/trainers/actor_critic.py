@@ -17,7 +17,7 @@ from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.rollout import Rollout, episode_counts, rollout
 from ailsrs_jax.trainers.segments import Episodes, Steps, collect
-from ailsrs_jax.trainers.settings import require_countable
+from ailsrs_jax.trainers.settings import Positive, UpToOne, require_countable
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
 
@@ -36,13 +36,13 @@ class TrustRegionSettings:
     num_envs: int = 8
     batch_size: int = 1024  #: steps of all environments together, for one step of the policy
     episode_length: int = 1000
-    discount: float = 0.995
-    advantage_decay: float = 0.97  #: λ
-    max_divergence: float = 0.01  #: in nats, of a step of the policy
+    discount: UpToOne = 0.995
+    advantage_decay: UpToOne = 0.97  #: λ
+    max_divergence: Positive = 0.01  #: in nats, of a step of the policy
     conjugate_gradient_steps: int = 10
     conjugate_gradient_damping: float = 0.1
     num_backtracks: int = 10
-    value_learning_rate: float = 1e-3
+    value_learning_rate: Positive = 1e-3
     value_epochs: int = 5
     value_batch_size: int = 128
     num_evaluation_episodes: int = 4

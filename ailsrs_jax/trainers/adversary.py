@@ -16,7 +16,7 @@ from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
 from ailsrs_jax.trainers.expert import Expert
-from ailsrs_jax.trainers.settings import is_used
+from ailsrs_jax.trainers.settings import Positive, is_used
 
 # Draws ``(batch, d)`` inputs of the policy's steps with a key, and says ``(batch)`` bool which of
 # them are on this device.
@@ -32,7 +32,7 @@ class AdversarySettings:
 
     discriminator_sees: Literal["state_action", "state", "state_next_state"] = "state_action"
     discriminator_loss: Literal["least_squares", "cross_entropy"] = "least_squares"
-    discriminator_learning_rate: float = 2.5e-4
+    discriminator_learning_rate: Positive = 2.5e-4
     discriminator_steps: int = 3
     discriminator_batch_size: int = 1000  #: from each side
     discriminator_entropy_bonus: float = 0.0  #: weight of its judgements' entropy in the loss

@@ -21,7 +21,7 @@ from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.exploration import count_episodes, explore
 from ailsrs_jax.trainers.rollout import Rollout
-from ailsrs_jax.trainers.settings import require_countable, validate
+from ailsrs_jax.trainers.settings import Positive, UpToOne, require_countable, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
@@ -34,15 +34,15 @@ class AilsrsSettings(AdversarySettings):
     num_iterations: int = 100_000
     num_directions: int = 320
     num_top_directions: int = 320  #: the paper uses all
-    step_size: float = 0.02
+    step_size: Positive = 0.02
     final_step_size: float = 0.02  #: reached linearly at the last iteration, whatever the first is
-    noise_std: float = 0.03
+    noise_std: Positive = 0.03
     episode_length: int = 1000
     memory_iterations: int = 1  #: the discriminator sees the policies of so many iterations
     memory_samples: int = 4000  #: at least so many are remembered of each iteration
     #: What a step after an episode's end is worth, as a share of the mean over its live steps. At
     #: 1, the paper's, a rollout is worth the mean over its live steps; at 0 their sum, over T.
-    reward_after_end: float = 1.0
+    reward_after_end: UpToOne = 1.0
     behavior_cloning_start: bool = False
     standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     num_evaluation_episodes: int = 4
@@ -227,7 +227,8 @@ class Ailsrs(Trainer):
 
     def _step_size(self, iteration: jax.Array) -> jax.Array:
         settings = self.settings
-        done = iteration / max(settings.num_iterations - 1, 1)
+        # Whoever calls `update` more often stays at the last, and does not step backwards.
+        done = jnp.minimum(iteration / max(settings.num_iterations - 1, 1), 1.0)
         return settings.step_size + done * (settings.final_step_size - settings.step_size)
 
     def _sample_inputs(self, key: jax.Array, batch: Rollout) -> jax.Array:

@@ -17,7 +17,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
 from ailsrs_jax.trainers.exploration import count_episodes, explore
-from ailsrs_jax.trainers.settings import require_countable, validate
+from ailsrs_jax.trainers.settings import Positive, Signed, require_countable, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -28,12 +28,12 @@ class ArsSettings:
     num_iterations: int = 300
     num_directions: int = 32
     num_top_directions: int = 4
-    step_size: float = 0.02
-    noise_std: float = 0.03
+    step_size: Positive = 0.02
+    noise_std: Positive = 0.03
     episode_length: int = 1000
     scale_by_std: bool = True  #: False is BRS
     normalize_observations: bool = True  #: False is BRS and V1
-    survival_bonus: float = 0.0  #: subtracted from the reward of every step
+    survival_bonus: Signed = 0.0  #: subtracted from the reward of every step
     num_evaluation_episodes: int = 8
 
 

@@ -17,7 +17,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.rollout import episode_counts, rollout
-from ailsrs_jax.trainers.settings import validate
+from ailsrs_jax.trainers.settings import Positive, PositiveUpToOne, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 
@@ -27,10 +27,10 @@ class BehaviorCloningSettings:
 
     num_iterations: int = 100  #: at most
     solver: Literal["adam", "ridge"] = "adam"  #: ridge is the exact solution, in one iteration
-    learning_rate: float = 1e-3
+    learning_rate: Positive = 1e-3
     gradient_steps: int = 100  #: of Adam, each iteration
     batch_size: int = 256
-    validation_fraction: float = 0.1  #: of the demonstrations, not trained on
+    validation_fraction: PositiveUpToOne = 0.1  #: of the demonstrations, not trained on
     patience: int = 10  #: iterations without a smaller validation loss until the end
     episode_length: int = 1000
     num_evaluation_episodes: int = 4

@@ -31,7 +31,7 @@ from ailsrs_jax.trainers.actor_critic import (
 from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.expert import Expert, make_expert
 from ailsrs_jax.trainers.segments import Episodes, Steps
-from ailsrs_jax.trainers.settings import validate
+from ailsrs_jax.trainers.settings import Positive, validate
 from ailsrs_jax.trainers.trainer import Trainer
 
 CLONING_BATCH_SIZE = 128
@@ -44,7 +44,7 @@ class GailSettings(TrustRegionSettings, AdversarySettings):
 
     policy_steps: int = 3  #: of the policy for each of the discriminator
     discriminator_loss: Literal["least_squares", "cross_entropy"] = "cross_entropy"
-    discriminator_learning_rate: float = 3e-4
+    discriminator_learning_rate: Positive = 3e-4
     discriminator_steps: int = 1
     discriminator_batch_size: int = 1024
     discriminator_entropy_bonus: float = 1e-3

@@ -37,13 +37,8 @@ class Rollout(struct.PyTreeNode):
         """``(B,)`` int32, steps to learn from: none of an episode that diverged."""
         return jnp.where(self.diverged, 0, self.lengths)
 
-    @property
-    def alive(self) -> jax.Array:
-        """``(B, T)`` bool: the step happened, and is to be learned from."""
-        return self.alive_from(0)
-
     def alive_from(self, first: int) -> jax.Array:
-        """``(B, T)`` bool: :attr:`alive`, in an episode from number ``first`` on."""
+        """``(B, T)`` bool: the step is to be learned from, in an episode from ``first`` on."""
         num_episodes, num_steps, _ = self.observations.shape
         counted = jnp.where(jnp.arange(num_episodes) < first, 0, self.usable_lengths)
         return jnp.arange(num_steps) < counted[:, None]

@@ -1,27 +1,22 @@
-"""Checking the settings of a trainer, and changing them by name."""
+"""Checking the settings of a trainer, and changing them by name.
+
+A setting's type says what it may be: an ``int`` is at least 1, a ``float`` not negative, others are
+below.
+"""
 
 import dataclasses
 import math
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import jax
+import numpy as np
 
 from ailsrs_jax.errors import UserError, did_you_mean
 
-POSITIVE = {
-    "step_size",
-    "noise_std",
-    "discriminator_learning_rate",
-    "learning_rate",
-    "value_learning_rate",
-    "max_divergence",
-    "validation_fraction",
-}
-ANY_SIGN = {"survival_bonus", "stop_at"}
-AT_MOST_ONE = {
-    *("validation_fraction", "discount", "advantage_decay", "discounting", "gae_lambda"),
-    "reward_after_end",
-}
+Positive = Annotated[float, "positive"]
+UpToOne = Annotated[float, "at most 1"]
+PositiveUpToOne = Annotated[float, "positive", "at most 1"]
+Signed = Annotated[float, "signed"]
 
 SettingsT = TypeVar("SettingsT")
 
@@ -51,27 +46,16 @@ def as_text(value: Any) -> str:
 
 def validate(settings: Any) -> None:
     """Raise UserError unless the values of a trainer's settings make sense; traced ones may."""
-    values = {
-        name: value
-        for name, value in vars(settings).items()
-        if not isinstance(value, jax.core.Tracer)
-    }
-    for name, value in values.items():
-        if type(value) is int and value < 1:
-            raise UserError(f"setting {name} is {value}: it must be at least 1")
-        if type(value) is float and not math.isfinite(value):
-            raise UserError(f"setting {name} is {value}: it must be finite")
-        if name in POSITIVE and value <= 0:
-            raise UserError(f"setting {name} is {value}: it must be positive")
-        if type(value) is float and name not in ANY_SIGN and value < 0:
-            raise UserError(f"setting {name} is {value}: it must not be negative")
-        if name in AT_MOST_ONE and value > 1:
-            raise UserError(f"setting {name} is {value}: it must be at most 1")
-    if values.get("num_top_directions", 0) > values.get("num_directions", 0):
-        raise UserError(
-            f"setting num_top_directions is {values['num_top_directions']}: it must be from 1 to "
-            f"num_directions, {values['num_directions']}"
-        )
+    for name, kind in get_type_hints(type(settings), include_extras=True).items():
+        value = getattr(settings, name)
+        if not isinstance(value, jax.core.Tracer) and (must := _problem(value, kind)):
+            raise UserError(f"setting {name} is {value}: it must {must}")
+    if hasattr(settings, "num_top_directions"):
+        top, most = settings.num_top_directions, settings.num_directions
+        if top > most:
+            raise UserError(
+                f"setting num_top_directions is {top}: it must be from 1 to num_directions, {most}"
+            )
 
 
 def require_countable(num_steps: int) -> None:
@@ -86,6 +70,30 @@ def require_countable(num_steps: int) -> None:
 def is_used(weight: Any) -> bool:
     """Whether a term with this weight is there at all; a traced one, of stacked runs, is not 0."""
     return isinstance(weight, jax.core.Tracer) or weight != 0
+
+
+def _problem(value: Any, kind: Any) -> str:
+    """What a setting of type ``kind`` must be that ``value`` is not; "" if nothing."""
+    if get_origin(kind) is Literal:
+        return "" if value in get_args(kind) else f"be {' or '.join(get_args(kind))}"
+    type_, *bounds = get_args(kind) or (kind,)
+    array = np.asarray(value)
+    kinds, name = {
+        bool: ("b", "true or false"),
+        int: ("iu", "a whole number"),
+        float: ("iuf", "a number"),
+    }[type_]
+    if array.ndim > 0 or array.dtype.kind not in kinds:
+        return f"be {name}"
+    if type_ is int:
+        return "" if value >= 1 else "be at least 1"
+    if not math.isfinite(value):
+        return "be finite"
+    if "positive" in bounds and value <= 0:
+        return "be positive"
+    if "signed" not in bounds and value < 0:
+        return "not be negative"
+    return "be at most 1" if "at most 1" in bounds and value > 1 else ""
 
 
 def _parse(name: str, text: str, kind: Any) -> Any:

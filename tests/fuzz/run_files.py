@@ -48,11 +48,11 @@ def make_metrics(path: Path, rng: Rng) -> None:
 
 
 def read_metrics(path: Path) -> object:
-    from ailsrs_jax.runs import tracking
+    from ailsrs_jax.runs import metrics
 
     with contextlib.suppress(UserError):  # one of its readers is enough to refuse it
-        tracking.MetricsFile(path, (0, 5), 3)
-    return tracking.read_metrics(path)
+        metrics.MetricsFile(path, (0, 5), 3)
+    return metrics.read_metrics(path)
 
 
 def make_run(path: Path, rng: Rng) -> None:

@@ -10,10 +10,10 @@ from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutate_tree, mutat
 
 def make_results(path: Path, rng: Rng) -> None:
     """What a sweep has measured, one of its three tables damaged."""
-    from ailsrs_jax.runs.sweep_results import Cell
+    from ailsrs_jax.runs.sweep_results import CellResult
 
     words = {"cell": "a", "status": "done", "env_id": "Hopper-v5", "settings": "noise_std=1"}
-    names = [field.name for field in dataclasses.fields(Cell)]
+    names = [field.name for field in dataclasses.fields(CellResult)]
     curve, timing = (
         "cell iteration env_steps evaluation_return",
         "cell train_seconds compile_seconds seconds_to_90_percent hardware",
@@ -88,10 +88,10 @@ def read_sweep_spec(path: Path) -> object:
 
 def make_sweep(path: Path, rng: Rng) -> None:
     """The directory of a shard: its grid, or the result of its cell, damaged."""
-    from ailsrs_jax.runs.sweep_cells import Cell
+    from ailsrs_jax.runs.sweep_cells import CellResult
 
     texts = {"name": "a-seed0", "label": "A", "algorithm": "ars", "env_id": "Hopper-v5"}
-    cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(Cell)}
+    cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(CellResult)}
     files: dict[str, Any] = {
         "sweep.json": {"cells": [cell | {"settings": {}, "all_settings": {}}], "episodes": 3},
         "cells/a-seed0/result.json": {

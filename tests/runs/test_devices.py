@@ -4,6 +4,7 @@ import sys
 
 import jax
 import pytest
+from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import make_env
@@ -50,7 +51,9 @@ def test_as_many_devices_as_share_the_directions(num_directions: int, expected: 
 
 
 def test_the_c_engine_has_all_cores_on_one_device() -> None:
-    assert devices.choose_devices(make_env("hopper", "mujoco"), 320).count == 1
+    for env in (make_env("hopper", "mujoco"), EpisodeWrapper(make_env("hopper", "mujoco"), 5, 1)):
+        assert devices.choose_devices(env, 320).count == 1
+        assert devices.choose_batch_size(env) is None
 
 
 def test_slots_are_refilled_where_that_saves_something() -> None:

@@ -19,7 +19,7 @@ import pytest
 from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.directory import claimed
-from ailsrs_jax.runs.tracking import read_rows
+from ailsrs_jax.runs.metrics import read_rows
 from tests.runs import toy_run
 
 NUM_KILLS = 50

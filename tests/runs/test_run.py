@@ -16,7 +16,7 @@ from ailsrs_jax.runs import run
 from ailsrs_jax.runs.checkpoint import Checkpoints
 from ailsrs_jax.runs.config import read_config
 from ailsrs_jax.runs.directory import claimed
-from ailsrs_jax.runs.tracking import IterationReport
+from ailsrs_jax.runs.metrics import IterationReport
 
 ASSIGNMENTS = {
     "num_iterations": "12",
@@ -249,6 +249,7 @@ WRONG = {
         "assignments": {"standardize_with": "max"}
     },
     "reward_after_end is 1.5: it must be at most 1": {"assignments": {"reward_after_end": "1.5"}},
+    "rollout_batch_size is of random search": {"algorithm": "bc", "rollout_batch_size": 8},
 }
 
 

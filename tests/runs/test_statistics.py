@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.runs import statistics
-from ailsrs_jax.runs.sweep_results import Cell, Curve
+from ailsrs_jax.runs.sweep_results import CellResult, Curve
 from tests.synthetic_sweep import row
 
 
-def cells(*rows: dict) -> list[Cell]:
+def cells(*rows: dict) -> list[CellResult]:
     return [
-        Cell(**{**values, "num_trajectories": values["num_trajectories"] or None})
+        CellResult(**{**values, "num_trajectories": values["num_trajectories"] or None})
         for values in rows
     ]
 
@@ -126,6 +126,8 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         row(1, cell="f", label="BC"),
         row(1, cell="g", label="BC", subsample=20),
         row(1, cell="h", label="BC", demonstrations="mine.npz"),
+        row(1, cell="i", label="ours", algorithm="bc"),
+        row(1, cell="j", label="ours", algorithm="gail"),
     )
     assert statistics.series_names(table) == {
         "a": "AILSRS",
@@ -136,6 +138,8 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         "f": "BC (shipped expert, subsample=1)",
         "g": "BC (shipped expert, subsample=20)",
         "h": "BC (mine.npz, subsample=1)",
+        "i": "ours (bc)",
+        "j": "ours (gail)",
     }
 
 

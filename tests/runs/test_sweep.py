@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax.errors import InUseError
 from ailsrs_jax.progress import SweepProgress
 from ailsrs_jax.runs.directory import claimed
 from ailsrs_jax.runs.evaluation import evaluate_random
@@ -215,7 +216,10 @@ def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
     units = choose_units(expand(spec), (0, 1), 1)
     directory = Path("sweep", "cells", cells[0].name)
     watch = Watch()
-    with claimed(directory, cells[0].make_plan().config, resume=False):
+    config = cells[0].make_plan().config
+    with claimed(directory, config, resume=False):
+        with pytest.raises(InUseError), claimed(directory, config, resume=False):
+            pass  # who had not seen it begin
         rows = ail.sweep(spec, "sweep", max_parallel=1, watch=watch)
     assert [row["cell"] for row in rows] == [cells[1].name]
     assert "another process is writing to" in watch.rows[0]["status"]
@@ -239,6 +243,24 @@ def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
     assert rows == [(cell / "metrics.csv").read_bytes() for cell in cells]
     ail.sweep(spec, "sweep")
     assert not list(Path("sweep/stacks").iterdir())
+
+
+def test_what_has_a_checkpoint_of_its_own_goes_on_alone(in_tmp_path: Path) -> None:
+    spec = quick_grid(seeds=[0, 1, 2], settings={"num_iterations": 12})
+    alone = ail.sweep(spec, "alone", max_parallel=1)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", max_parallel=1, watch=Watch(KeyboardInterrupt(), at=10))
+    stopped = Watch(KeyboardInterrupt(), at=2 + 10)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", watch=stopped)  # the other two from their beginning, together
+    assert stopped.rows == alone[:1]
+    Path("sweep/cells", alone[0]["cell"], "result.json").unlink()
+    resumed = Watch()
+    rows = ail.sweep(spec, "sweep", watch=resumed)
+    assert rows[0] == alone[0]
+    assert [row["status"] for row in rows] == ["done"] * 3
+    assert resumed.begun == [row["cell"] for row in rows]
+    assert resumed.num_reports == 2  # of the two
 
 
 def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:

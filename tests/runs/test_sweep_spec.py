@@ -9,12 +9,9 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.runs.sweep_cells import load_sweep
+from ailsrs_jax.runs.sweep_results import DONE
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
-from ailsrs_jax.runs.sweep_tables import (
-    DONE,
-    load_result,
-    save_result,
-)
+from ailsrs_jax.runs.sweep_tables import load_result, save_result
 from tests.runs.toy_sweep import grid, quick_grid
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from ailsrs_jax.runs import run
-from ailsrs_jax.runs.tracking import read_metrics
+from ailsrs_jax.runs.metrics import read_metrics
 from tests.runs import toy_run
 from tests.runs.test_tracking import KilledError, kill_at
 

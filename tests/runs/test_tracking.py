@@ -19,9 +19,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run, tensorboard, tracked, trackers
 from ailsrs_jax.runs.journal import Journal
+from ailsrs_jax.runs.metrics import IterationReport, read_metrics, read_rows
 from ailsrs_jax.runs.sweep import sweep
 from ailsrs_jax.runs.tensorboard import GROUP
-from ailsrs_jax.runs.tracking import IterationReport, read_metrics, read_rows
 from tests.runs import toy_run
 
 

@@ -161,8 +161,8 @@ def test_the_discriminator_learns_to_tell_them_apart(trainer: Ailsrs) -> None:
 def test_step_size_decays_linearly(trainer: Ailsrs) -> None:
     settings = dataclasses.replace(SMALL, num_iterations=11, step_size=0.3, final_step_size=0.1)
     trainer = dataclasses.replace(trainer, settings=settings)
-    sizes = [float(trainer._step_size(jnp.array(i))) for i in (0, 5, 10)]
-    np.testing.assert_allclose(sizes, [0.3, 0.2, 0.1], rtol=1e-6)
+    sizes = [float(trainer._step_size(jnp.array(i))) for i in (0, 5, 10, 30)]
+    np.testing.assert_allclose(sizes, [0.3, 0.2, 0.1, 0.1], rtol=1e-6)
 
 
 def test_distance_sees_the_length_of_episodes() -> None:

@@ -38,7 +38,7 @@ def test_against_a_plain_loop(limit: int, point_mass: PointMass) -> None:
             length += 1
         assert int(result.lengths[index]) == length
         np.testing.assert_allclose(result.env_returns[index], total, rtol=1e-3)
-        assert result.alive[index].sum() == length
+        assert result.alive_from(0)[index].sum() == length
         for buffer in (result.observations, result.actions, result.env_rewards):
             assert not buffer[index, length:].any()
     assert int(result.env_steps) == int(result.lengths.sum())

@@ -125,7 +125,7 @@ def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
         return
     # Before the lock, which would not be welcome among others' files; where there is one already,
     # somebody may be writing, and to know that is better than that something is there.
-    if not resume and not (path / LOCK).exists():
+    if not resume and not os.path.lexists(path / LOCK):
         _require_empty(path)
     with _locked(path):
         if not resume:

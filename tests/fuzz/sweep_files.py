@@ -88,10 +88,10 @@ def read_sweep_spec(path: Path) -> object:
 
 def make_sweep(path: Path, rng: Rng) -> None:
     """The directory of a shard: its grid, or the result of its cell, damaged."""
-    from ailsrs_jax.runs.sweep_cells import CellResult
+    from ailsrs_jax.runs.sweep_cells import Cell
 
     texts = {"name": "a-seed0", "label": "A", "algorithm": "ars", "env_id": "Hopper-v5"}
-    cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(CellResult)}
+    cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(Cell)}
     files: dict[str, Any] = {
         "sweep.json": {"cells": [cell | {"settings": {}, "all_settings": {}}], "episodes": 3},
         "cells/a-seed0/result.json": {

@@ -23,9 +23,9 @@ def test_experts_are_good_enough_to_be_called_so(env_id: str, least: float) -> N
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("env", ["hopper", "swimmer"])
-def test_two_of_three_seeds_come_near_the_expert(env: str) -> None:
+@pytest.mark.parametrize(("env", "share"), [("hopper", 0.85), ("swimmer", 0.95)])
+def test_two_of_three_seeds_come_near_the_expert(env: str, share: float) -> None:
     result = train(env, num_trajectories=10, seeds=(0, 1, 2))
     kept = [evaluate(policy, 100, "gymnasium").mean for policy in result.policies.values()]
     expert = evaluate(load_policy(expert_path(result.config.env_id)), 100, "gymnasium").mean
-    assert np.sum(np.array(kept) >= 0.8 * expert) >= 2, (kept, expert)
+    assert np.sum(np.array(kept) >= share * expert) >= 2, (kept, expert)

@@ -1,4 +1,4 @@
-"""Grids of tiny cells."""
+"""Grids of tiny cells, and who watches them."""
 
 from typing import Any
 
@@ -30,3 +30,25 @@ def quick_grid(**entry: Any) -> dict[str, Any]:
     """Of what compiles in a second."""
     entry["settings"] = SEARCH | entry.get("settings", {})
     return {"episodes": 2, "algorithm": "ars", "env": POINT_MASS, "grid": [entry]}
+
+
+class Watch:
+    """Notes what it is told, and raises ``error`` before the report of a given number."""
+
+    def __init__(self, error: BaseException | None = None, at: int = 0) -> None:
+        self.error, self.at = error, at
+        self.begun: list[str] = []
+        self.rows: list[Any] = []
+        self.num_reports = 0
+
+    def begin(self, cells: Any) -> None:
+        self.begun += [cell.name for cell in cells]
+
+    def __call__(self, report: Any) -> None:
+        if self.num_reports == self.at and self.error is not None:
+            error, self.error = self.error, None
+            raise error
+        self.num_reports += 1
+
+    def end(self, row: Any) -> None:
+        self.rows.append(row)

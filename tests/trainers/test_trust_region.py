@@ -42,12 +42,16 @@ def test_trpo_learns_from_the_reward(point_mass: PointMass) -> None:
 @pytest.mark.parametrize("sees", ["state_action", "state_next_state"])
 def test_gail_imitates(sees: str, point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
     settings = GailSettings(
-        **SMALL, discriminator_sees=sees, discriminator_steps=20, num_distance_samples=500
+        **SMALL,
+        discriminator_sees=sees,
+        discriminator_steps=20,
+        gradient_penalty=1.0,  # without it the end is upset at times, on some processors
+        num_distance_samples=500,
     )
     trainer = make_gail(point_mass, point_mass_expert, settings)
     _, metrics = jax.jit(trainer.train)(jax.random.key(0))
     assert metrics["evaluation_return"][0] < -40
-    assert jnp.median(metrics["evaluation_return"][-3:]) > -25  # an adversary upsets it at times
+    assert metrics["evaluation_return"][-3:].mean() > -25
     assert metrics["expert_distance"][-1] < 0.3 * metrics["expert_distance"][0]
 
 

@@ -45,16 +45,17 @@ Returns are those of the kept policies in Gymnasium's own environments; imitator
 without the reward, ARS and TRPO by it. ± is the standard deviation over seeds (the paper does not
 say of what its own is), and with three seeds it is a rough one.
 
-What differs from the paper: settings are those of the
-[tuned presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions
-for 320, a start from behaviour cloning on every task, a gradient penalty and a memory; tasks are
+What differs from the paper: settings are those of the [tuned
+presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions for
+320, a start from behaviour cloning on every task, a gradient penalty and a memory; tasks are
 version 5, not 2, and the experts others, so returns are compared as shares of the expert's. As in
 the paper, GAIL starts from behaviour cloning on HalfCheetah, where it keeps its clone or what it is
-a few iterations later, and from nothing elsewhere; it gets from half (HalfCheetah) to twice
-(Swimmer) the time of AILSRS, not as many steps as it might want. Cells are from more than one
-processor, on which the same command [ends elsewhere](../docs/numerics.md#what-is-reproducible). The
-paper does not say what its BC trains: `BC` is of AILSRS's linear policy, and `neural BC`, of GAIL's
-network, decides no claim. [docs/figures.md](../docs/figures.md) explains the figures."""
+a few iterations later, and from nothing elsewhere; from ten demonstrations it gets from half
+(HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many steps as it might want. Cells are
+from more than one processor, on which the same command [ends
+elsewhere](../docs/numerics.md#what-is-reproducible). The paper does not say what its BC trains:
+`BC` is of AILSRS's linear policy, and `neural BC`, of GAIL's network, decides no claim.
+[docs/figures.md](../docs/figures.md) explains the figures."""
 
 
 def main() -> None:

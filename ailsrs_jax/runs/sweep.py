@@ -196,15 +196,19 @@ def run_unit(
         return  # another process has finished them meanwhile
     stack_directory = _stack_directory(output, unit)
     for group in _groups(unit, cells, output):
+        # Others may be at it, too, and what a stack has finished is still in its checkpoint.
+        waiting = [cell for cell in group if not is_done(output, cell)]
+        if not waiting:
+            continue
         if watch is not None:
-            watch.begin([cell for cell in group if cell in cells])
+            watch.begin(waiting)
         outcomes: Sequence[Result | Exception]
         try:
             outcomes = _train(group, output, stack_directory, track, watch, stop)
         except Exception as error:  # of whatever kind: the others can still be trained
             outcomes = [error] * len(group)
         for cell, outcome in zip(group, outcomes, strict=True):
-            if cell in cells:
+            if cell in waiting:
                 _finish(cell, outcome, output, episodes, watch, stop)
     if not pending([unit], output):
         shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
@@ -239,7 +243,7 @@ def _stack_directory(output: Path, unit: Unit) -> Path:
     return output / "stacks" / _hash("".join(cell.name for cell in unit))
 
 
-def _begun_together(stack_directory: Path) -> list[str]:
+def begun_together(stack_directory: Path) -> list[str]:
     """Which cells a stack began with; none if it has no checkpoint, so that nothing is lost.
 
     Raises:
@@ -260,7 +264,7 @@ def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     mine = {_stack_directory(output, unit) for unit in units}
     names = {cell.name for unit in units for cell in unit}
     for directory in (output / "stacks").glob("*"):
-        begun = _begun_together(directory)
+        begun = begun_together(directory)
         if directory not in mine and names.intersection(begun):
             raise UserError(
                 f"{directory} holds cells that are trained together, begun with another "
@@ -275,7 +279,7 @@ def _groups(unit: Unit, pending: Sequence[Cell], output: Path) -> list[list[Cell
     but they are still in its checkpoint. Who has a checkpoint of its own goes on alone.
     """
     stack_directory = _stack_directory(output, unit)
-    begun = _begun_together(stack_directory)
+    begun = begun_together(stack_directory)
     if begun:
         together = [cell for cell in unit if cell.name in begun]
     else:

@@ -29,7 +29,7 @@ def run_on_ray(
         track: where else the metrics go.
 
     Yields:
-        Each unit as it ends, and why it could not be run if no worker survived it.
+        Each unit as it ends, and why it could not be run, if so.
 
     Raises:
         UserError: Ray is not installed, or the cluster does not answer.
@@ -54,6 +54,8 @@ def run_on_ray(
             unit, problem = running.pop(ended), None
             try:
                 ray.get(ended)
+            except ray.exceptions.RayTaskError as error:
+                problem = one_line(error.cause)
             except ray.exceptions.RayError as error:
                 problem = f"no worker survived it: {one_line(error)}"
             yield unit, problem

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import platform
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -240,10 +241,15 @@ def hardware() -> str:
     device = jax.devices()[0]
     if device.platform != "cpu":
         return f"{jax.device_count()} x {device.device_kind}"
-    model = platform.processor() or platform.machine()
+    cores = available_cores()
+    return f"{cores} core{'s' * (cores > 1)}, {_processor()}"
+
+
+def _processor() -> str:
+    """Its name, with what tells apart those that virtual machines give the same name."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next(line.split(": ", 1)[1] for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration, IndexError):
-        pass  # not Linux
-    return f"{available_cores()} cores, {model}"
+        found = re.findall(r"(?m)^([a-z ]+?)\s*: (.+)$", Path("/proc/cpuinfo").read_text())
+        fields = dict(found)
+        return f"{fields['model name']} (family {fields['cpu family']}, model {fields['model']})"
+    except (OSError, KeyError):  # not Linux, or no x86
+        return platform.processor() or platform.machine()

@@ -67,7 +67,7 @@ class Adversary:
         if sees == "state_next_state" and self.expert.stride > 1:
             raise UserError(
                 "the demonstrations are subsampled: discriminator_sees=state_next_state needs "
-                "every step"
+                "every step, state_action and state do not"
             )
 
     @property

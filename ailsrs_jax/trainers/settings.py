@@ -77,16 +77,20 @@ def _problem(value: Any, kind: Any) -> str:
     if get_origin(kind) is Literal:
         return "" if value in get_args(kind) else f"be {' or '.join(get_args(kind))}"
     type_, *bounds = get_args(kind) or (kind,)
-    array = np.asarray(value)
     kinds, name = {
         bool: ("b", "true or false"),
         int: ("iu", "a whole number"),
         float: ("iuf", "a number"),
     }[type_]
-    if array.ndim > 0 or array.dtype.kind not in kinds:
-        return f"be {name}"
+    if not (type_ is not bool and type(value) is int):  # of any size, where NumPy's end at 2^64
+        try:
+            array = np.asarray(value)
+        except ValueError:  # a ragged list
+            return f"be {name}"
+        if array.ndim > 0 or array.dtype.kind not in kinds:
+            return f"be {name}"
     if type_ is int:
-        return "" if value >= 1 else "be at least 1"
+        return "be at least 1" if value < 1 else "be below 2^31" if value >= 2**31 else ""
     if not math.isfinite(value):
         return "be finite"
     if "positive" in bounds and value <= 0:

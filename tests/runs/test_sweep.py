@@ -159,6 +159,24 @@ def test_what_has_a_checkpoint_of_its_own_goes_on_alone(in_tmp_path: Path) -> No
     assert resumed.num_reports == 2  # of the two
 
 
+def test_what_is_left_of_a_stack_is_all_that_is_trained(in_tmp_path: Path) -> None:
+    spec = quick_grid(seeds=[0, 1, 2], settings={"num_iterations": 12})
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "sweep", max_parallel=1, watch=Watch(KeyboardInterrupt(), at=10))
+    first = expand(spec).cells[0].name
+    config = Path("sweep/cells", first, "config.json")
+    text = config.read_text()
+    config.write_text("damaged")
+    failed = ail.sweep(spec, "sweep")  # the other two together
+    assert [row["status"] == "done" for row in failed] == [False, True, True]
+    config.write_text(text)
+    again = Watch()
+    rows = ail.sweep(spec, "sweep", watch=again)
+    assert [row["status"] for row in rows] == ["done"] * 3
+    assert (again.begun, again.num_reports) == ([first], 2)
+    assert not list(Path("sweep/stacks").iterdir())
+
+
 def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
     ail.sweep(quick_grid(), "sweep")
     calls = {

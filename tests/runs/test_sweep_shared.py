@@ -72,6 +72,17 @@ def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
     assert [row["status"] for row in merge_sweeps("merged", ["shard"])] == ["done"]
 
 
+def test_a_stack_is_finished_before_anything_is_merged_into_it(in_tmp_path: Path) -> None:
+    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
+    ail.sweep(spec, "shard", shard=(0, 2), max_parallel=1)
+    with pytest.raises(KeyboardInterrupt):
+        ail.sweep(spec, "merged", watch=Watch(KeyboardInterrupt(), at=11))
+    with pytest.raises(ail.UserError, match="let them finish, or delete it"):
+        merge_sweeps("merged", ["shard"])
+    rows = ail.sweep(spec, "merged")
+    assert merge_sweeps("merged", ["shard"]) == rows
+
+
 def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
     spec = quick_grid(seeds=[0, 1])
     cells = expand(spec).cells

@@ -42,6 +42,7 @@ class Watch:
         self.num_reports = 0
 
     def begin(self, cells: Any) -> None:
+        assert cells
         self.begun += [cell.name for cell in cells]
 
     def __call__(self, report: Any) -> None:

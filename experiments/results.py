@@ -49,13 +49,12 @@ What differs from the paper: settings are those of the [tuned
 presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions for
 320, a start from behaviour cloning on every task, a gradient penalty and a memory; tasks are
 version 5, not 2, and the experts others, so returns are compared as shares of the expert's. As in
-the paper, GAIL starts from behaviour cloning on HalfCheetah, where it keeps its clone or what it is
-a few iterations later, and from nothing elsewhere; from ten demonstrations it gets from half
-(HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many steps as it might want. Cells are
-from more than one processor, on which the same command [ends
-elsewhere](../docs/numerics.md#what-is-reproducible). The paper does not say what its BC trains:
-`BC` is of AILSRS's linear policy, and `neural BC`, of GAIL's network, decides no claim.
-[docs/figures.md](../docs/figures.md) explains the figures."""
+the paper, GAIL starts from behaviour cloning on HalfCheetah, where its clone is at the expert's
+level, and from nothing elsewhere; from ten demonstrations it gets from half (HalfCheetah) to twice
+(Swimmer) the time of AILSRS, not as many steps as it might want. Cells are from more than one
+processor, on which the same command [ends elsewhere](../docs/numerics.md#what-is-reproducible). The
+paper does not say what its BC trains: `BC` is of AILSRS's linear policy, and `neural BC`, of GAIL's
+network, decides no claim. [docs/figures.md](../docs/figures.md) explains the figures."""
 
 
 def main() -> None:
@@ -147,7 +146,7 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
         commit = f"`{note['commit'][:12]}`"
         row = [name, f"`{note['command']}`", done, ", ".join(engines), machines, commit]
         rows.append(row)
-    header = ["sweep", "command", "cells done", "engine", "hardware", "commit"]
+    header = ["sweep", "command", "cells done", "engine", "hardware", "newest commit"]
     return markdown_table(header, rows)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import subprocess
 import tomllib
 from collections.abc import Callable
@@ -11,7 +12,9 @@ from typing import Any
 import pytest
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.statistics import interquartile_mean, scores
 from ailsrs_jax.runs.sweep_cells import Cell
+from ailsrs_jax.sweep_report import estimate, plus_minus
 from tests.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="the package is installed without them")
@@ -19,6 +22,7 @@ from experiments import results
 from experiments.claims import CLAIMS
 from experiments.evidence import (
     CHEETAH,
+    FEWEST,
     HOPPER,
     NUM_SEEDS,
     NUMBERS,
@@ -31,6 +35,8 @@ from experiments.evidence import (
     Finding,
     judge,
 )
+
+README = results.PAGE.parent.parent / "README.md"
 
 Score = Callable[[str, str, int], tuple[float, float]]  # label, task, number: mean, spread
 
@@ -268,3 +274,26 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_page_is_what_the_committed_results_say() -> None:
     assert results.page(results.read_all(results.RESULTS)) == results.PAGE.read_text()
+
+
+def test_the_readme_is_what_the_committed_results_say() -> None:
+    readme = README.read_text()
+    evidence = Evidence(results.read_all(results.RESULTS))
+    rows = {
+        "AILSRS": "AILSRS, ",
+        "BC": "behaviour cloning",
+        "GAIL": "GAIL, ",
+        "neural BC": "a neural clone",
+    }
+    for label, begins in rows.items():
+        (row,) = (line for line in readme.splitlines() if line.startswith(f"| {begins}"))
+        groups = [
+            evidence.group(label, task, FEWEST) for task in (CHEETAH, HOPPER, SWIMMER, WALKER)
+        ]
+        values = [plus_minus(group.values("normalized"), 2) for group in groups]
+        assert row.split(" | ")[1:] == [*values[:-1], f"{values[-1]} |"], label
+    for label in ("AILSRS", "GAIL"):
+        groups = [evidence.group(label, task, number) for task in TASKS for number in NUMBERS]
+        assert estimate(interquartile_mean(scores(groups))) in readme, label
+    (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
+    assert all(part in readme for part in claims)

@@ -55,6 +55,16 @@ def test_gail_imitates(sees: str, point_mass: PointMass, point_mass_expert: Demo
     assert metrics["expert_distance"][-1] < 0.3 * metrics["expert_distance"][0]
 
 
+def test_gail_gets_there_without_a_penalty(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    settings = GailSettings(**SMALL, discriminator_steps=20, num_distance_samples=500)
+    trainer = make_gail(point_mass, point_mass_expert, settings)
+    _, metrics = jax.jit(trainer.train)(jax.random.key(1))
+    assert metrics["evaluation_return"][0] < -40
+    assert metrics["evaluation_return"].max() > -15  # where it ends is upset at times
+
+
 def test_cloning_gives_the_mean_and_what_it_misses_by(
     point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:

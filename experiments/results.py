@@ -110,7 +110,7 @@ def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
     evidence = Evidence(sweeps)
     findings = [judge(claim, evidence) for claim in CLAIMS]
     counts = Counter(finding.verdict for finding in findings)
-    summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     parts = [INTRODUCTION, f"**{len(CLAIMS)} claims: {summary}.**", "## Where they come from"]
     parts.append(_origins(sweeps, directory))
     rows = zip(CLAIMS, findings, strict=True)

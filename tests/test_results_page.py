@@ -23,6 +23,7 @@ from experiments.claims import CLAIMS
 from experiments.evidence import (
     CHEETAH,
     FEWEST,
+    HARD,
     HOPPER,
     NUM_SEEDS,
     NUMBERS,
@@ -200,7 +201,7 @@ def test_half_is_partly() -> None:
 
 def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     assert set(verdicts(tmp_path).values()) == {"not yet run"}
-    assert f"0 not, {len(CLAIMS)} not yet run" in results.page({}, tmp_path)
+    assert f"claims: {len(CLAIMS)} not yet run." in results.page({}, tmp_path)
 
 
 def test_a_missing_seed_leaves_the_claim_open(tmp_path: Path) -> None:
@@ -295,5 +296,8 @@ def test_the_readme_is_what_the_committed_results_say() -> None:
     for label in ("AILSRS", "GAIL"):
         groups = [evidence.group(label, task, number) for task in TASKS for number in NUMBERS]
         assert estimate(interquartile_mean(scores(groups))) in readme, label
+        hard = [evidence.group(label, task, sweep=HARD) for task in HARD_TASKS]
+        values = [plus_minus(group.values("normalized"), 2) for group in hard]
+        assert " and ".join(values) in readme, label
     (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
     assert all(part in readme for part in claims)

@@ -82,7 +82,7 @@ def _problem(value: Any, kind: Any) -> str:
         int: ("iu", "a whole number"),
         float: ("iuf", "a number"),
     }[type_]
-    if not (type_ is not bool and type(value) is int):  # of any size, where NumPy's end at 2^64
+    if type_ is not int or type(value) is not int:  # Python's whole numbers can be beyond NumPy's
         try:
             array = np.asarray(value)
         except ValueError:  # a ragged list

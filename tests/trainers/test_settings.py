@@ -25,6 +25,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "num_directions is 320.0: it must be a whole number": {"num_directions": 320.0},
     "episode_length is True: it must be a whole number": {"episode_length": True},
     "it must be below 2^31": {"num_iterations": 10**30},
+    "0: it must be a number": {"step_size": 10**400},
     "behavior_cloning_start is 1: it must be true or false": {"behavior_cloning_start": 1},
     "standardize_with is Expert: it must be running or expert": {"standardize_with": "Expert"},
     "step_size is 0: it must be positive": {"step_size": 0},

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -243,7 +243,7 @@ def _stack_directory(output: Path, unit: Unit) -> Path:
     return output / "stacks" / _hash("".join(cell.name for cell in unit))
 
 
-def begun_together(stack_directory: Path) -> list[str]:
+def _begun_together(stack_directory: Path) -> list[str]:
     """Which cells a stack began with; none if it has no checkpoint, so that nothing is lost.
 
     Raises:
@@ -256,6 +256,12 @@ def begun_together(stack_directory: Path) -> list[str]:
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
+def begun_stacks(output: Path) -> Iterator[tuple[Path, list[str]]]:
+    """The directory of each stack that a sweep has begun, and which cells it began with."""
+    for directory in (output / "stacks").glob("*"):
+        yield directory, _begun_together(directory)
+
+
 def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     """Raise UserError if cells have begun to be trained together otherwise than in ``units``.
 
@@ -263,8 +269,7 @@ def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     """
     mine = {_stack_directory(output, unit) for unit in units}
     names = {cell.name for unit in units for cell in unit}
-    for directory in (output / "stacks").glob("*"):
-        begun = begun_together(directory)
+    for directory, begun in begun_stacks(output):
         if directory not in mine and names.intersection(begun):
             raise UserError(
                 f"{directory} holds cells that are trained together, begun with another "
@@ -279,7 +284,7 @@ def _groups(unit: Unit, pending: Sequence[Cell], output: Path) -> list[list[Cell
     but they are still in its checkpoint. Who has a checkpoint of its own goes on alone.
     """
     stack_directory = _stack_directory(output, unit)
-    begun = begun_together(stack_directory)
+    begun = _begun_together(stack_directory)
     if begun:
         together = [cell for cell in unit if cell.name in begun]
     else:

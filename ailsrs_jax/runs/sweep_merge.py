@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.sweep import SWEEP_FILE, begun_together, is_done
+from ailsrs_jax.runs.sweep import SWEEP_FILE, begun_stacks, is_done
 from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_tables import TableRow, load_result, write_tables
 
@@ -30,9 +30,9 @@ def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[Tabl
     for source in others:
         grid.require_same(source / SWEEP_FILE)
     grid.save(output / SWEEP_FILE)
-    for stack in (output / "stacks").glob("*"):
-        begun = begun_together(stack)
-        if any(cell.name in begun and not is_done(output, cell) for cell in grid.cells):
+    unfinished = {cell.name for cell in grid.cells if not is_done(output, cell)}
+    for stack, begun in begun_stacks(output):
+        if unfinished.intersection(begun):
             raise UserError(
                 f"{stack} holds cells that are trained together: let them finish, or delete it to "
                 "begin them anew, and then merge"

@@ -248,8 +248,8 @@ def hardware() -> str:
 def _processor() -> str:
     """Its name, with what tells apart those that virtual machines give the same name."""
     try:
-        found = re.findall(r"(?m)^([a-z ]+?)\s*: (.+)$", Path("/proc/cpuinfo").read_text())
-        fields = dict(found)
+        text = Path("/proc/cpuinfo").read_text()
+        fields = dict(re.findall(r"(?m)^([a-z ]+?)\s*: (.+)$", text))
         return f"{fields['model name']} (family {fields['cpu family']}, model {fields['model']})"
     except (OSError, KeyError):  # not Linux, or no x86
         return platform.processor() or platform.machine()

@@ -196,7 +196,8 @@ def draw_scores(groups: Sequence[Group], looks: Looks, directory: Path) -> None:
                 if not strata:
                     continue
                 iqm = interquartile_mean(strata)
-                reach = np.array([[iqm.value - iqm.low], [iqm.high - iqm.value]])
+                # Of equal scores the ends may be on the wrong side, by a rounding.
+                reach = np.maximum([[iqm.value - iqm.low], [iqm.high - iqm.value]], 0)
                 axes.errorbar(
                     [iqm.value],
                     [row + shift],
@@ -263,15 +264,16 @@ def _panels(titles: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
 
 def _draw_levels(axes: Axes, groups: Sequence[Group]) -> None:
     """Lines at the returns of random actions, and of the experts if there are any."""
-    experts = sorted(
-        (group.num_trajectories or 0, float(group.values("expert_return").mean()))
-        for group in groups
-    )
-    numbers, levels = zip(*experts)
-    if len(set(numbers)) > 1:
-        axes.plot(numbers, levels, label="expert", **EXPERT)
-    elif np.isfinite(levels[0]):
-        axes.axhline(levels[0], label="expert", **EXPERT)
+    experts: dict[str, dict[int, float]] = {}  # by their demonstrations, and the number of them
+    for group in groups:
+        levels = experts.setdefault(group.cells[0].demonstrations, {})
+        levels[group.num_trajectories or 0] = float(group.values("expert_return").mean())
+    for levels in experts.values():
+        numbers, returns = zip(*sorted(levels.items()))
+        if len(numbers) > 1:
+            axes.plot(numbers, returns, label="expert", **EXPERT)
+        elif np.isfinite(returns[0]):
+            axes.axhline(returns[0], label="expert", **EXPERT)
     random = np.mean([group.values("random_return").mean() for group in groups])
     axes.axhline(random, label="random", **RANDOM)
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 import signal
 import sys
 from collections.abc import Mapping, Sequence
@@ -64,6 +65,9 @@ def sweep(
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
     units = sweeps.choose_units(grid, parse_shard(shard), max_parallel)
     if dry_run:
+        if os.path.lexists(output / sweeps.SWEEP_FILE):
+            grid.require_same(output / sweeps.SWEEP_FILE)
+            sweeps.require_same_stacks(units, output)
         estimates = estimate(sweeps.pending(units, output))
         print_estimate(console, estimates)
         if as_json:
@@ -110,23 +114,25 @@ def report(
     console: Console, rows: Sequence[Mapping[str, Any]], output: Path, *, as_json: bool
 ) -> None:
     """Write table and figures, and say what has failed: then the exit code is 1."""
-    from ailsrs_jax.runs.sweep_results import DONE
+    from ailsrs_jax.runs.sweep_results import DONE, NOT_RUN
     from ailsrs_jax.sweep_report import report_sweep
 
     report_sweep(output)
     if as_json:
         print_json({"output": str(output), "cells": rows})
-    failed = [row for row in rows if row["status"] != DONE]
+    done = sum(row["status"] == DONE for row in rows)
+    failed = [row for row in rows if row["status"] not in (DONE, NOT_RUN)]
+    errors = Console(stderr=True, soft_wrap=True)  # --quiet leaves them
     for row in failed:
-        console.print(f"{row['cell']} {row['status']}", style="red", markup=False, soft_wrap=True)
+        errors.print(f"{row['cell']} {row['status']}", style="red", markup=False, highlight=False)
+    if missing := len(rows) - done - len(failed):
+        errors.print(f"{missing} of {len(rows)} cells have not been run", highlight=False)
     console.print(
-        f"{len(rows)} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
+        f"{done} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
         soft_wrap=True,
     )
     if failed:
-        console.print(
-            f"{len(failed)} of them have failed; the same command tries them again", soft_wrap=True
-        )
+        errors.print(f"{len(failed)} cells have failed; the same command tries them again")
         sys.exit(1)
 
 

@@ -19,8 +19,6 @@ from ailsrs_jax.page import (
 from ailsrs_jax.plotting import draw_discriminators
 from ailsrs_jax.runs.saved_run import SavedRun, read_run
 from ailsrs_jax.runs.statistics import Group, group_cells
-from ailsrs_jax.runs.sweep import SWEEP_FILE
-from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_results import CellResult, SweepResults, read_results
 from ailsrs_jax.sweep_report import EXPLANATION, result_tables
 from ailsrs_jax.video import data_uri
@@ -37,8 +35,6 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
     results = read_results(directory)
     groups = group_cells(results.cells)
     runs = _runs(directory, results) if results.done else {}
-    path = directory / SWEEP_FILE  # committed results have none
-    planned = len(load_sweep(path).cells if path.is_file() else results.cells)
     steps = sum(cell.env_steps for cell in results.done)
     counts = {
         "tasks": len({cell.env_id for cell in results.cells}),
@@ -51,7 +47,7 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
         title=directory.resolve().name,
         subtitle=" · ".join(dict.fromkeys(group.series for group in groups)),
         tiles=[
-            Tile("runs finished", str(len(results.done)), f"of {planned}"),
+            Tile("runs finished", str(len(results.done)), f"of {len(results.cells)}"),
             *(Tile(label, str(count)) for label, count in counts.items()),
             Tile("environment steps", millions(steps), "live ones, of all runs"),
         ],

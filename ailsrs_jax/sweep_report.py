@@ -19,7 +19,7 @@ from ailsrs_jax.runs.statistics import (
     median_reached,
     scores,
 )
-from ailsrs_jax.runs.sweep_results import SweepResults, read_results
+from ailsrs_jax.runs.sweep_results import NOT_RUN, SweepResults, read_results
 
 EXPLANATION = """\
 ± is the standard deviation over seeds. *Return* is that of the kept policy in Gymnasium's own
@@ -97,8 +97,12 @@ def result_tables(results: SweepResults) -> list[Table]:
             if group.env_id == task
         ]
         tables.append(Table(task, header, rows))
-    if failed := [[cell.cell, cell.status] for cell in results.cells if not cell.done]:
-        tables.append(Table("Not done", ["cell", "status"], failed))
+    ended = [cell for cell in results.cells if cell.status != NOT_RUN]
+    if failed := [[cell.cell, cell.status] for cell in ended if not cell.done]:
+        tables.append(Table("Failed", ["cell", "status"], failed))
+    if len(ended) < len(results.cells):
+        missing = f"{len(results.cells) - len(ended)} of {len(results.cells)} cells"
+        tables.append(Table("Not run", ["not finished"], [[missing]]))
     return tables
 
 

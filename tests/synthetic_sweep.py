@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ailsrs_jax.runs.sweep_results import CellResult
+
 TASKS = {  # random and expert return
     "HalfCheetah-v5": (-280.0, 5450.0),
     "Hopper-v5": (18.0, 3240.0),
@@ -73,6 +75,14 @@ def row(
         "normalized": score,
         "status": "done",
     } | changes
+
+
+def cells(*rows: dict[str, Any]) -> list[CellResult]:
+    """Rows as they are read."""
+    return [
+        CellResult(**{**values, "num_trajectories": values["num_trajectories"] or None})
+        for values in rows
+    ]
 
 
 def curve(cell: dict[str, Any], generator: np.random.Generator) -> list[dict[str, Any]]:

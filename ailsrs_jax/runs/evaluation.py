@@ -105,21 +105,26 @@ def evaluate(
 
 
 def evaluate_random(
-    env_id: str, num_episodes: int = 100, physics: str = "gymnasium", seed: int = 0
+    env_id: str,
+    num_episodes: int = 100,
+    physics: str = "gymnasium",
+    seed: int = 0,
+    *,
+    episode_length: int = EPISODE_LENGTH,
 ) -> Evaluation:
     """Measure the return of actions drawn uniformly from their range; see :func:`evaluate`."""
     if physics == "gymnasium":
-        return _evaluate_in_gymnasium(env_id, None, num_episodes, seed, EPISODE_LENGTH)
+        return _evaluate_in_gymnasium(env_id, None, num_episodes, seed, episode_length)
     env = open_env(env_id, physics).env
     n, p = env_sizes(env)
     low, high = action_range(env)
     still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
     noise_key, reset_key = jax.random.split(jax.random.key(seed))
-    shape = (num_episodes, EPISODE_LENGTH, p)
+    shape = (num_episodes, episode_length, p)
     noise = jax.random.uniform(noise_key, shape, minval=low, maxval=high)
     keys = jax.random.split(reset_key, num_episodes)
     policies = repeated(still, num_episodes)
-    episodes = jax.jit(lambda: rollout(env, policies, keys, EPISODE_LENGTH, noise=noise))()
+    episodes = jax.jit(lambda: rollout(env, policies, keys, episode_length, noise=noise))()
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 

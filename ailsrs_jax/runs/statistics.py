@@ -60,15 +60,17 @@ class Group:
 def series_names(cells: Iterable[CellResult]) -> dict[str, str]:
     """What each cell's series is called, by the cell's name.
 
-    It is the label, with the algorithm, the preset, the settings, the engine, the demonstrations
-    and how they are thinned out where cells of that label differ in them on the same task with as
-    many of them.
+    It is the label, with the algorithm where cells of that label on the same task differ in it, and
+    with the preset, the settings, the engine, the demonstrations and how they are thinned out where
+    cells with as many of them do.
     """
     cells = list(cells)
-    variants: dict[tuple[str, str, int | None], set[tuple[str, ...]]] = {}
+    variants: dict[tuple[Any, ...], set[tuple[str, ...]]] = {}
     for cell in cells:
         condition = (cell.label, cell.env_id, cell.num_trajectories)
         variants.setdefault(condition, set()).add(_variant(cell))
+        # What learns from the reward has no number of demonstrations.
+        variants.setdefault(condition[:2], set()).add(_variant(cell)[:1])
     differing: dict[str, set[int]] = {cell.label: set() for cell in cells}
     for (label, *_), same in variants.items():
         differing[label] |= {at for at, values in enumerate(zip(*same)) if len(set(values)) > 1}
@@ -195,13 +197,19 @@ def scores(groups: Iterable[Group], name: str = "normalized") -> list[np.ndarray
 
 
 def mean_curve(curves: Sequence[Curve]) -> Curve:
-    """The mean over seeds at each iteration that all of them have reached."""
+    """The mean over seeds at each iteration that all of them have reached.
+
+    An evaluation that diverged is left out; NaN where all did.
+    """
     length = min(len(curve.iterations) for curve in curves)
-    stacked = [
-        np.mean([getattr(curve, field.name)[:length] for curve in curves], axis=0)
-        for field in dataclasses.fields(Curve)
-    ]
-    return Curve(*stacked)
+    return Curve(
+        *(
+            np.ma.masked_invalid([getattr(curve, field.name)[:length] for curve in curves])
+            .mean(axis=0)
+            .filled(np.nan)
+            for field in dataclasses.fields(Curve)
+        )
+    )
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:

@@ -85,7 +85,8 @@ def sweep(
         watch: is told how it goes.
 
     Returns:
-        The rows of ``results.csv``.
+        The rows of ``results.csv``, a cell each; those of other shards may have the status
+        ``not run``.
 
     Raises:
         UserError: the spec is wrong, or the directory holds another sweep or cannot be written.
@@ -162,10 +163,12 @@ def run_units(
     On this machine ``stop`` is asked after every iteration; if true, what is trained is saved and
     KeyboardInterrupt raised.
     """
-    _require_same_stacks(units, output)
+    require_same_stacks(units, output)
     rows = write_tables(output, grid.cells)
     if launcher == "local":
         for unit in units:
+            if stop():  # during the last evaluation of the unit before
+                raise KeyboardInterrupt
             run_unit(unit, output, grid.episodes, track, watch, stop)
             rows = write_tables(output, grid.cells)
         return rows
@@ -240,7 +243,8 @@ def _finish(
 
 
 def _stack_directory(output: Path, unit: Unit) -> Path:
-    return output / "stacks" / _hash("".join(cell.name for cell in unit))
+    names = "".join(cell.name for cell in unit)
+    return output / "stacks" / hashlib.sha256(names.encode()).hexdigest()[:16]
 
 
 def _begun_together(stack_directory: Path) -> list[str]:
@@ -262,7 +266,7 @@ def begun_stacks(output: Path) -> Iterator[tuple[Path, list[str]]]:
         yield directory, _begun_together(directory)
 
 
-def _require_same_stacks(units: Sequence[Unit], output: Path) -> None:
+def require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     """Raise UserError if cells have begun to be trained together otherwise than in ``units``.
 
     They are as far as that stack is, and its checkpoint is the only one that they have.
@@ -324,7 +328,3 @@ def _train(
     (plan,), (directory,) = plans, directories
     started = (directory / "config.json").exists()
     return [execute(plan, directory, resume=started, track=track, watch=tell, stop=stop)]
-
-
-def _hash(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

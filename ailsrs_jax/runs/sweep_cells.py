@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.data.files import read_json_object, write_atomically
+from ailsrs_jax.envs.registry import takes_physics
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Plan, make_plan
 
@@ -27,6 +28,7 @@ class Cell:
     settings: dict[str, str]  # what differs from the preset, sorted
     all_settings: dict[str, Any]  # the preset's as they were then, too
     demonstrations: str | None  # None for the shipped expert's, or none
+    demonstrations_sha256: str | None  # of what they hold, of those that did not ship
     num_trajectories: int | None  # None where there are none
     subsample: int
     physics: str  # as asked for
@@ -46,7 +48,8 @@ class Cell:
             self.num_trajectories,
             (self.seed,),
             self.preset,
-            self.physics,
+            # What auto means is decided once, and not by each machine of a cluster.
+            self.engine if takes_physics(self.env_id) else self.physics,
             self.settings,
             subsample=self.subsample,
             algorithm=self.algorithm,

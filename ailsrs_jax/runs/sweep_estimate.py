@@ -86,7 +86,11 @@ def _memory_bytes(cell: Cell) -> int:
     settings, (n, p) = _settings(cell), env_sizes(open_env(cell.env_id, cell.physics).env)
     steps = _num_episodes(cell, settings) * settings.episode_length
     numbers = steps * (n + p + 1)
-    if jax.default_backend() == "cpu" and getattr(settings, "standardize_with", "") == "running":
+    if find_algorithm(cell.algorithm).searches:
+        numbers += 2 * settings.num_directions * n * p
+    running = getattr(settings, "standardize_with", "") == "running"
+    running |= getattr(settings, "normalize_observations", False)  # of ARS
+    if jax.default_backend() == "cpu" and running:
         numbers += steps * n
     if hasattr(settings, "memory_iterations"):
         policies = 2 * settings.num_directions

@@ -11,6 +11,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.metrics import read_rows
 
 DONE = "done"
+NOT_RUN = "not run"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +41,7 @@ class CellResult:
     expert_return: float  # NaN where there is no expert, as on one's own task
     random_return: float
     normalized: float  # return_mean as a score: 0 is random, 1 the expert
-    status: str  # DONE, or "failed: why"
+    status: str  # DONE, NOT_RUN or "failed: why"
 
     @property
     def done(self) -> bool:

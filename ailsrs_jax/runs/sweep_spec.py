@@ -20,6 +20,7 @@ from ailsrs_jax.runs.presets import changed_settings
 from ailsrs_jax.runs.run import make_plan
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.sweep_cells import Cell, Sweep
+from ailsrs_jax.runs.training_data import PAPER_EXPERT
 
 # Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
 # a list, whose elements are tried in turn. ``settings`` is a table of such values.
@@ -164,6 +165,7 @@ def _check_group(
         at = ", ".join(str(point[key]) for key in ("algorithm", "env", "num_trajectories"))
         raise UserError(f"{where} ({at}): {error}") from error
     config = plan.config
+    named = point["demonstrations"] if plan.algorithm.imitates else None
     cell = Cell(
         name="",
         label=label or plan.algorithm.title,
@@ -174,7 +176,11 @@ def _check_group(
             config.env_id, config.preset, config.algorithm, vars(config.settings)
         ),
         all_settings=dataclasses.asdict(config.settings),
-        demonstrations=point["demonstrations"] if plan.algorithm.imitates else None,
+        demonstrations=named,
+        # The shipped experts' are simulated where they are needed, and differ by roundings.
+        demonstrations_sha256=(
+            None if named in (None, PAPER_EXPERT) else config.demonstrations_sha256
+        ),
         num_trajectories=config.num_trajectories,
         subsample=point["subsample"],
         physics=point["physics"],

@@ -19,12 +19,12 @@ from ailsrs_jax.data.files import read_json_object, write_atomically
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.metrics import IterationReport, read_metrics, read_rows
 from ailsrs_jax.runs.run import Result
 from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.runs.sweep_results import DONE, CellResult
+from ailsrs_jax.runs.sweep_results import DONE, NOT_RUN, CellResult
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 
 RESULT_COLUMNS = tuple(field.name for field in dataclasses.fields(CellResult))
@@ -60,20 +60,32 @@ class Stopwatch:
 
 
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
-    """What ``results.csv`` says of a cell that is trained; its policy is evaluated here."""
+    """What ``results.csv`` says of a cell that is trained; its policy is evaluated here.
+
+    Gymnasium's tasks have their own time limit. Where training had another, what it measured is of
+    other episodes than the expert's, and is left out.
+    """
     config = result.config
     metrics = read_metrics(directory / "metrics.csv")
     returns, steps = metrics["evaluation_return"], metrics["env_steps"]
     policy = result.policies[cell.seed]
-    physics = "gymnasium" if config.env_id in TASKS else cell.physics
-    evaluation = evaluate(policy, episodes, physics)
+    length = config.settings.episode_length
+    if config.env_id in TASKS:
+        physics, limit = "gymnasium", EPISODE_LENGTH
+    else:
+        physics, limit = cell.physics, length
+    evaluation = evaluate(policy, episodes, physics, episode_length=limit)
     if not np.isfinite(evaluation.returns).all():
         raise UserError("the kept policy's returns are not all finite")
     expert = None if result.expert_returns is None else float(np.mean(result.expert_returns))
     if expert is None:
         expert = shipped_expert_return(config.env_id, config.physics)
-    random = random_return(config.env_id, physics)
+    random = random_return(config.env_id, physics, limit)
     reached = np.flatnonzero(returns >= (np.inf if expert is None else ninety_percent(expert)))
+    measured = np.isfinite(returns)  # else the evaluation diverged
+    # Of an iteration's policy, for as many steps as the iteration takes.
+    weights = np.diff(steps, prepend=0)[measured]
+    same_limit = length == limit
     normalized = None
     if expert is not None and expert != random:
         normalized = (evaluation.mean - random) / (expert - random)
@@ -84,10 +96,13 @@ def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> 
         "return_mean": evaluation.mean,
         "return_std": evaluation.std,
         "length_mean": float(evaluation.lengths.mean()),
-        "last_return": float(returns[-1]),
-        # Of an iteration's policy, for as many steps as the iteration takes.
-        "mean_return_over_training": float(returns @ np.diff(steps, prepend=0) / steps[-1]),
-        "steps_to_90": int(steps[reached[0]]) if len(reached) else None,
+        "last_return": float(returns[-1]) if same_limit else None,
+        "mean_return_over_training": (
+            float(returns[measured] @ weights / weights.sum())
+            if same_limit and weights.any()
+            else None
+        ),
+        "steps_to_90": int(steps[reached[0]]) if same_limit and len(reached) else None,
         "expert_return": expert,
         "random_return": random,
         "normalized": normalized,
@@ -117,17 +132,25 @@ def cell_columns(cell: Cell) -> dict[str, Any]:
     }
 
 
-def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
-    """What ``timings.csv`` says of a cell that is trained."""
-    lines = [line.split(",") for line in (directory / SECONDS_FILE).read_text().splitlines()]
-    # The last of each iteration: what a killed process did twice counts once.
-    seconds = {int(line[0]): float(line[1]) for line in lines if len(line) == 3}
-    compiling = sum(float(line[2]) for line in lines if len(line) == 3)
+def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow | None:
+    """What ``timings.csv`` says of a cell that is trained; None if not every iteration was timed.
+
+    That is so where something else than a sweep went on with it, or a disk was full.
+    """
+    try:
+        lines = [line.split(",") for line in (directory / SECONDS_FILE).read_text().splitlines()]
+        # The last of each iteration: what a killed process did twice counts once.
+        seconds = {int(line[0]): float(line[1]) for line in lines if len(line) == 3}
+        compiling = sum(float(line[2]) for line in lines if len(line) == 3)
+    except (OSError, ValueError):
+        return None
+    if sorted(seconds) != list(range(row["iterations"])):
+        return None
     to_90 = None
     if row["steps_to_90"] is not None:
         steps = read_metrics(directory / "metrics.csv")["env_steps"]
         reached = int(np.searchsorted(steps, row["steps_to_90"]))
-        to_90 = sum(seconds.get(index, 0.0) for index in range(reached + 1))
+        to_90 = sum(seconds[index] for index in range(reached + 1))
     return {
         "cell": cell.name,
         "train_seconds": sum(seconds.values()),
@@ -168,7 +191,7 @@ def _is_flat(row: Any) -> TypeGuard[TableRow]:
 
 
 def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
-    """Write the tables of what is finished so far, in the order of ``cells``; the rows of results.
+    """Write the tables of what there is so far, in the order of ``cells``; the rows of results.
 
     Several processes may share the directory: whoever is the last to write has seen what the others
     have finished, because each looks again after it has written.
@@ -178,9 +201,9 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
         found = [(cell, load_result(output / "cells" / cell.name)) for cell in cells]
         # What is known of a cell is added, lest an earlier version's result lacks some of it.
         results: list[tuple[TableRow, TableRow | None]] = [
-            ({**cell_columns(cell), **result[0]}, result[1])
+            ({**cell_columns(cell), **row}, timing)
             for cell, result in found
-            if result is not None
+            for row, timing in [result or ({"status": NOT_RUN}, None)]
         ]
         seen = json.dumps(results)  # NaN is not equal to itself
         if seen == written:
@@ -222,9 +245,9 @@ def ninety_percent(expert_return: float) -> float:
 
 
 @functools.cache
-def random_return(env_id: str, physics: str) -> float:
+def random_return(env_id: str, physics: str, episode_length: int = EPISODE_LENGTH) -> float:
     """Mean return of 100 episodes of uniformly random actions."""
-    return evaluate_random(env_id, physics=physics).mean
+    return evaluate_random(env_id, physics=physics, episode_length=episode_length).mean
 
 
 @functools.cache

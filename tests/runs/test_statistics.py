@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.runs import statistics
-from ailsrs_jax.runs.sweep_results import CellResult, Curve
-from tests.synthetic_sweep import row
-
-
-def cells(*rows: dict) -> list[CellResult]:
-    return [
-        CellResult(**{**values, "num_trajectories": values["num_trajectories"] or None})
-        for values in rows
-    ]
+from ailsrs_jax.runs.sweep_results import Curve
+from tests.synthetic_sweep import cells, row
 
 
 def test_interquartile_mean_is_the_mean_of_the_middle_half_of_all_strata() -> None:
@@ -102,6 +95,15 @@ def test_the_mean_curve_ends_with_the_shortest() -> None:
     np.testing.assert_array_equal(mean.returns, [2, 4])
 
 
+def test_an_evaluation_that_diverged_leaves_the_mean_to_the_others() -> None:
+    never = np.nan
+    curves = [
+        Curve(np.arange(3.0), np.arange(3.0), np.array(returns))
+        for returns in ([1.0, never, never], [3.0, 6.0, never])
+    ]
+    np.testing.assert_array_equal(statistics.mean_curve(curves).returns, [2, 6, never])
+
+
 def test_a_group_is_a_series_on_a_task_and_leaves_out_what_failed() -> None:
     table = cells(
         row(1.0, seed=0),
@@ -128,6 +130,8 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         row(1, cell="h", label="BC", demonstrations="mine.npz"),
         row(1, cell="i", label="ours", algorithm="bc"),
         row(1, cell="j", label="ours", algorithm="gail"),
+        row(1, cell="k", label="theirs", algorithm="ailsrs"),
+        row(1, cell="l", label="theirs", algorithm="ars", num_trajectories=""),
     )
     assert statistics.series_names(table) == {
         "a": "AILSRS",
@@ -140,6 +144,8 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         "h": "BC (mine.npz, subsample=1)",
         "i": "ours (bc)",
         "j": "ours (gail)",
+        "k": "theirs (ailsrs)",
+        "l": "theirs (ars)",
     }
 
 

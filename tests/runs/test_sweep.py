@@ -1,31 +1,18 @@
 """Sweeps of tiny cells: finished once, and never lost."""
 
-import csv
 import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.progress import SweepProgress
-from ailsrs_jax.runs.evaluation import evaluate_random
 from ailsrs_jax.runs.sweep import choose_units, run_units
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
-from ailsrs_jax.runs.sweep_tables import (
-    CURVE_COLUMNS,
-    RESULT_COLUMNS,
-    TIMING_COLUMNS,
-)
-from tests.runs.toy_sweep import POINT_MASS, SEARCH, Watch, grid, quick_grid
+from tests.runs.toy_sweep import POINT_MASS, SEARCH, Watch, grid, quick_grid, table
 from tests.test_cli import ailsrs
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.mark.parametrize("max_parallel", [1, 64])
@@ -42,7 +29,10 @@ def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: 
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "stopped", watch=stopped, **arguments)
     done = names[: 1 if max_parallel == 1 else 0]
-    assert [row["cell"] for row in table(Path("stopped/results.csv"))] == done
+    rows = table(Path("stopped/results.csv"))
+    assert [row["cell"] for row in rows] == names
+    assert [row["cell"] for row in rows if row["status"] == "done"] == done
+    assert [row["status"] for row in rows[len(done) :]] == ["not run"] * (2 - len(done))
     resumed = Watch()
     assert ail.sweep(spec, "stopped", watch=resumed, **arguments) == whole
     assert (resumed.begun, resumed.num_reports) == (names[len(done) :], 2)
@@ -79,51 +69,6 @@ def test_told_to_stop_it_saves_first(in_tmp_path: Path, max_parallel: int) -> No
         run_units(sweep, units, output, watch=watch, stop=stop)
     assert watch.num_reports == 4
     assert [path.name for path in output.rglob("checkpoints/4")] == ["4"]
-
-
-def test_what_a_sweep_says(demonstrations: str) -> None:
-    spec = grid(demonstrations, num_trajectories=[2, 8])
-    rows = ail.sweep(spec, "sweep")
-    written = table(Path("sweep/results.csv"))
-    curves = table(Path("sweep/curves.csv"))
-    timings = table(Path("sweep/timings.csv"))
-    assert tuple(written[0]) == RESULT_COLUMNS
-    assert tuple(curves[0]) == CURVE_COLUMNS
-    assert tuple(timings[0]) == TIMING_COLUMNS
-    names = [row["cell"] for row in rows]
-    assert [row["cell"] for row in timings] == names
-    assert [(row["cell"], row["iteration"]) for row in curves] == [
-        (name, str(iteration)) for name in names for iteration in range(3)
-    ]
-    expert = ail.load_demonstrations(demonstrations)
-    for row, number in zip(written, (2, 8), strict=True):
-        mine = [curve for curve in curves if curve["cell"] == row["cell"]]
-        returns, steps = (
-            np.array([float(curve[name]) for curve in mine])
-            for name in ("evaluation_return", "env_steps")
-        )
-        policy = ail.load_policy(Path("sweep/cells", row["cell"], "seed_0/policy.npz"))
-        evaluation = ail.evaluate(policy, 2, "auto")
-        random = evaluate_random(POINT_MASS, physics="auto").mean
-        level = np.mean(expert.returns[:number])
-        expected = {
-            "num_trajectories": number,
-            "iterations": 3,
-            "env_steps": steps[-1],
-            "return_mean": evaluation.mean,
-            "return_std": evaluation.std,
-            "length_mean": evaluation.lengths.mean(),
-            "last_return": returns[-1],
-            "mean_return_over_training": np.average(returns, weights=np.diff(steps, prepend=0)),
-            "expert_return": level,
-            "random_return": random,
-            "normalized": (evaluation.mean - random) / (level - random),
-        }
-        for name, value in expected.items():
-            assert float(row[name]) == pytest.approx(value), name
-        reached = returns >= level - 0.1 * abs(level)
-        assert row["steps_to_90"] == (str(int(steps[reached.argmax()])) if reached.any() else "")
-        assert (row["status"], row["label"], row["physics"]) == ("done", "AILSRS", "none")
 
 
 def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
@@ -230,6 +175,9 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--shard", f"0/{'9' * 5000}") == 2
     assert capsys.readouterr().err.startswith("ailsrs: --shard 0/999")
     assert not Path("out").exists()
+    expand(quick_grid()).save(Path("other/sweep.json"))
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "other") == 2
+    assert "other holds another sweep" in capsys.readouterr().err
 
     def interrupt(*arguments: Any) -> None:
         raise KeyboardInterrupt
@@ -252,9 +200,14 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     config.write_text(config.read_text().replace('"episode_length": 20', '"episode_length": 30'))
     arguments = ("sweep", "tiny.toml", "--output", "out", "--max-parallel", 1)
     assert ailsrs(monkeypatch, *arguments) == 1
-    printed = capsys.readouterr().out
-    assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in printed
-    assert "1 of them have failed; the same command tries them again" in printed
+    said = capsys.readouterr()
+    assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in said.err
+    assert "1 cells have failed; the same command tries them again" in said.err
+    assert "1 cells; table.md" in said.out
+    assert ailsrs(monkeypatch, *arguments, "--quiet") == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "cannot resume" in said.err
     assert ailsrs(monkeypatch, "merge", "merged", "out", "--json") == 1
     cells = json.loads(capsys.readouterr().out)["cells"]
     assert [row["status"].partition(":")[0] for row in cells] == ["done", "failed"]

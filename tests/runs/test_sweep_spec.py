@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.runs.sweep_cells import load_sweep
 from ailsrs_jax.runs.sweep_results import DONE
 from ailsrs_jax.runs.sweep_spec import expand, read_spec
@@ -130,6 +131,27 @@ def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
     save_result(Path("a"), {"cell": "../b", "status": DONE}, None)
     with pytest.raises(ail.UserError, match="is not of this cell; delete it"):
         load_result(Path("a"))
+
+
+def test_what_auto_means_is_decided_once(in_tmp_path: Path) -> None:
+    spec = {"env": "swimmer", "algorithm": "ars", "grid": [{"settings": {"num_iterations": 1}}]}
+    (cell,) = expand(spec).cells
+    here = cell.make_plan().config.physics
+    assert (cell.physics, cell.engine) == ("auto", here)
+    elsewhere = "mujoco" if here == "mjx" else "mjx"
+    assert dataclasses.replace(cell, engine=elsewhere).make_plan().config.physics == elsewhere
+
+
+def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
+    spec = grid(demonstrations)
+    expand(spec).save(Path("sweep/sweep.json"))
+    recorded = ail.load_demonstrations(demonstrations)
+    other = recorded.replace(observations=0.5 * recorded.observations)
+    save_demonstrations(other, demonstrations)
+    with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
+        expand(spec).save(Path("sweep/sweep.json"))
+    (shipped,) = expand({"env": "swimmer", "grid": [{"num_trajectories": 1}]}).cells
+    assert shipped.demonstrations_sha256 is None
 
 
 @pytest.mark.parametrize("key", ["seeds", "episodes", "subsample", "label", "settings.noise_std"])

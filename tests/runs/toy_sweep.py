@@ -1,5 +1,7 @@
 """Grids of tiny cells, and who watches them."""
 
+import csv
+from pathlib import Path
 from typing import Any
 
 POINT_MASS = "tests.point_mass:PointMass"
@@ -24,6 +26,11 @@ def grid(demonstrations: str, **entry: Any) -> dict[str, Any]:
         "settings": TINY,
         "grid": [entry],
     }
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
 
 
 def quick_grid(**entry: Any) -> dict[str, Any]:

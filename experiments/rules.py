@@ -150,17 +150,6 @@ def above_the_expert(label: str, task: str) -> Checks:
     return checks
 
 
-def expert_is(task: str) -> Checks:
-    """The demonstrations' mean return is within a tenth of the paper's."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        ours = evidence.group("AILSRS", task, MOST).values("expert_return").mean()
-        paper = PAPER_EXPERTS[task]
-        yield Check("", f"{ours:.0f}", abs(ours - paper) <= 0.1 * paper)
-
-    return checks
-
-
 def within_five_percent(label: str) -> Checks:
     """Walker2d: the mean return is within the paper's band around the expert's."""
 
@@ -205,8 +194,11 @@ def all_six(evidence: Evidence) -> Iterable[Check]:
 
 def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
     """Neither Ant nor Humanoid gets to 0.9."""
-    for check in reaches("AILSRS", HARD_TASKS, [None], HARD)(evidence):
-        yield dataclasses.replace(check, holds=not check.holds)
+    for task in HARD_TASKS:
+        (check,) = reaches("AILSRS", [task], [None], HARD)(evidence)
+        steps = np.median(evidence.group("AILSRS", task, sweep=HARD).values("env_steps"))
+        value = f"{check.value} after {_steps(float(steps))} steps"
+        yield dataclasses.replace(check, value=value, holds=not check.holds)
 
 
 def few_are_enough(evidence: Evidence) -> Iterable[Check]:
@@ -316,11 +308,11 @@ def more_seeds_are_less_steady(evidence: Evidence) -> Iterable[Check]:
 
 
 def five_seeds_miss_on_hopper(evidence: Evidence) -> Iterable[Check]:
-    """Hopper's curve of five seeds peaks below those of one and three, and below the expert."""
+    """Hopper's curve gets to 0.9 with one and with three seeds, and not with five."""
     group = evidence.group("AILSRS", HOPPER, sweep=FIGURE_3)
     one, three, five = (evidence.curve(group, n, FIGURE_3).max() for n in (1, 3, 5))
     value = f"{one:.2f}, {three:.2f}, {five:.2f}"
-    yield Check("peaks of 1, 3, 5 seeds:", value, bool(five < min(one, three, 1)))
+    yield Check("peaks of 1, 3, 5 seeds:", value, bool(five < REACHED <= min(one, three)))
 
 
 def _where(task: str, number: int | None) -> str:

@@ -138,7 +138,8 @@ def draw_training_curves(results: SweepResults, groups: Sequence[Group], directo
         for task, axes in panels.items():
             cells = sorted(chosen[task].cells, key=lambda cell: cell.seed)
             curves = [results.curves[cell.cell] for cell in cells if cell.cell in results.curves]
-            _draw_levels(axes, [chosen[task]])
+            if chosen[task].has_comparable_curves:
+                _draw_levels(axes, [chosen[task]])
             for index, number in enumerate(NUMBERS_OF_SEEDS):
                 if number > len(curves):
                     continue

@@ -64,11 +64,12 @@ def sweep(
     output = output or Path("runs") / spec.stem
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
     units = sweeps.choose_units(grid, parse_shard(shard), max_parallel)
+    pending = sweeps.pending(units, output)
     if dry_run:
         if os.path.lexists(output / sweeps.SWEEP_FILE):
             grid.require_same(output / sweeps.SWEEP_FILE)
-            sweeps.require_same_stacks(units, output)
-        estimates = estimate(sweeps.pending(units, output))
+            sweeps.require_same_stacks(pending, output)
+        estimates = estimate(pending)
         print_estimate(console, estimates)
         if as_json:
             print_json({"to_train": [dataclasses.asdict(each) for each in estimates]})
@@ -82,7 +83,6 @@ def sweep(
     listening = stop if launcher == "local" else contextlib.nullcontext()
     try:
         with listening, SweepProgress(console, units, output) as watch:
-            pending = sweeps.pending(units, output)
             rows = sweeps.run_units(grid, pending, output, launcher, track, watch, stop)
     except KeyboardInterrupt:
         print(f"saved; go on with:\n{this_command()}", file=sys.stderr)
@@ -126,7 +126,7 @@ def report(
     for row in failed:
         errors.print(f"{row['cell']} {row['status']}", style="red", markup=False, highlight=False)
     if missing := len(rows) - done - len(failed):
-        errors.print(f"{missing} of {len(rows)} cells have not been run", highlight=False)
+        console.print(f"{missing} of {len(rows)} cells have not been run yet", highlight=False)
     console.print(
         f"{done} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
         soft_wrap=True,

@@ -37,9 +37,9 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
     runs = _runs(directory, results) if results.done else {}
     steps = sum(cell.env_steps for cell in results.done)
     counts = {
-        "tasks": len({cell.env_id for cell in results.cells}),
+        "tasks": len({cell.env_id for cell in results.done}),
         "series": len({group.series for group in groups}),
-        "seeds": len({cell.seed for cell in results.cells}),
+        "seeds": len({cell.seed for cell in results.done}),
     }
     first = next(iter(runs.values()), None)
     return Page(

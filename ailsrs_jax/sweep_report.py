@@ -91,7 +91,7 @@ def result_tables(results: SweepResults) -> list[Table]:
                 plus_minus(group.values("normalized"), 2),
                 plus_minus(group.values("last_return")),
                 plus_minus(group.values("normalized_over_training"), 2),
-                _reached(group.values("steps_to_90"), lambda steps: f"{steps / 1e6:.2f} M"),
+                _reached(group, group.values("steps_to_90"), lambda n: f"{n / 1e6:.2f} M"),
             ]
             for group in groups
             if group.env_id == task
@@ -156,7 +156,7 @@ def timings_table(results: SweepResults) -> str:
                     group.series,
                     group.env_id,
                     _count(group),
-                    _reached(columns[2], lambda seconds: f"{seconds:.0f} s"),
+                    _reached(group, columns[2], lambda seconds: f"{seconds:.0f} s"),
                     train,
                     compilation,
                     " and ".join(dict.fromkeys(timing.hardware for timing in timings)),
@@ -200,7 +200,9 @@ def estimate(value: Estimate) -> str:
     return f"{value.value:z.2f}{interval}"
 
 
-def _reached(values: np.ndarray, show: Callable[[float], str]) -> str:
+def _reached(group: Group, values: np.ndarray, show: Callable[[float], str]) -> str:
+    if not group.has_comparable_curves:
+        return "–"
     median, reached = median_reached(values)
     return f"{show(median) if math.isfinite(median) else '–'} ({reached} of {len(values)})"
 

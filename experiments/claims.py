@@ -130,8 +130,8 @@ CLAIMS = [
         TEXT,
         "GAIL requires much interaction with the environment to get reasonable performance",
         "",
-        "from 10 demonstrations, 90 % of the expert after more steps than AILSRS, median (after "
-        "the same starts)",
+        "from 10 demonstrations, 90 % of the expert after more steps than AILSRS, median "
+        "(after the start: AILSRS's is cloned on every task, GAIL's on HalfCheetah)",
         FIGURE_2,
         rules.gail_needs_more_interaction,
     ),
@@ -308,7 +308,7 @@ UNTESTED = {
     "The combination of adversarial networks and random search is new": "a matter of literature",
     "The method is simple and easy to rebuild": "a judgement; the repository is our answer",
     "ARS does better than BRS and deep reinforcement learning on the reward": "cited from Mania et "
-    "al.; of two on Hopper, in `baselines`, TRPO does better",
+    "al.; `baselines` has ARS and TRPO on Hopper",
     "Dividing by σ_R steadies ARS's updates": "cited from Mania et al.",
     "Labels 0 and 1 do better than b − a = 2": "no figure in the paper, and D ends in a sigmoid",
     "Normalised observations give all components an equal influence": "no figure in the paper",

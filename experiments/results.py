@@ -4,8 +4,8 @@ usage: python -m experiments.results                              draw and write
        python -m experiments.results add NAME DIRECTORY COMMIT    first take in a sweep's results
 
 ``add`` copies the tables of DIRECTORY, which ``ailsrs sweep experiments/NAME.toml`` has left, to
-experiments/results/NAME, and notes the command and the commit that the sweep was run at, after
-those that its other cells were.
+experiments/results/NAME, and adds the commit that it was run at to those already noted for its
+other cells. Where none are left of those, delete provenance.json first.
 """
 
 import json
@@ -53,10 +53,12 @@ presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 
 320, a start from behaviour cloning on every task, observations in units of the expert's, a gradient
 penalty and a memory, counts steps missing after a fall as worth less, and on HalfCheetah judges
 states without actions. They were tuned by hand on these tasks, and no seeds were held back. GAIL's
-were not tuned task by task; as in the paper it starts from behaviour cloning on HalfCheetah, where
-its clone is at the expert's level, and from nothing elsewhere; from ten demonstrations it gets from
-half (HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many steps as it might want. So
-what is compared are these two set-ups, not the two methods at their best. Tasks are version 5, not
+were not tuned task by task. As in the paper it starts from behaviour cloning on HalfCheetah, where
+its clone is at the expert's level, and from nothing on the other three (from its clone on Ant and
+Humanoid, which are no comparison of the paper's); its iterations are set by task, so that from ten
+demonstrations it gets from half (HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many
+steps as it might want. So what is compared are these two set-ups, not the two methods at their
+best. Tasks are version 5, not
 2, and the experts others, so returns are compared as shares of the expert's. On Walker2d the expert
 of the paper's level falls after about 385 steps: standing still for all 1000 returns as much and
 walking on twice that, so a return like its own, and the time until it, say less there than
@@ -98,12 +100,12 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
     if not full or _git("cat-file", "-t", f"{full}:{spec}") != "blob":
         raise UserError(f"{commit} is no commit here that has {spec}")
     directory = target / name
+    path = directory / "provenance.json"
+    earlier = _provenance(path)["commits"] if path.exists() else []
     directory.mkdir(parents=True, exist_ok=True)
     for table in TABLES:
         shutil.copyfile(source / table, directory / table)
     planned = len(load_sweep(source / SWEEP_FILE).cells)
-    path = directory / "provenance.json"
-    earlier = _provenance(path)["commits"] if path.exists() else []
     commits = [commit for commit in earlier if commit != full] + [full]
     note = {"command": f"ailsrs sweep {spec}", "commits": commits, "cells": planned}
     write_text(path, f"{json.dumps(note, indent=2)}\n")
@@ -156,7 +158,7 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
         machines = " and ".join(
             dict.fromkeys(timing.hardware for timing in results.timings.values())
         )
-        commits = ", ".join(f"`{commit[:7]}`" for commit in note["commits"])
+        commits = ", ".join(f"`{commit[:7]}`" for commit in note["commits"]) or "not noted"
         row = [name, f"`{note['command']}`", done, ", ".join(engines), machines, commits]
         rows.append(row)
     header = ["sweep", "command", "cells done", "engine", "hardware", "commits"]
@@ -173,7 +175,7 @@ def _provenance(path: Path) -> dict[str, Any]:
         commits = [str(commit) for commit in note["commits"]]
         return {"command": str(note["command"]), "commits": commits, "cells": str(note["cells"])}
     except FileNotFoundError:
-        return {"command": "not noted", "commits": ["not noted"], "cells": "not noted"}
+        return {"command": "not noted", "commits": [], "cells": "not noted"}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path} does not name a command, commits and a number of cells") from error
 

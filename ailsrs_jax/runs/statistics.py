@@ -52,6 +52,11 @@ class Group:
         """What other series can be compared with it on."""
         return self.env_id, self.num_trajectories
 
+    @property
+    def has_comparable_curves(self) -> bool:
+        """Whether what training measured is of episodes of the task's length."""
+        return bool(np.isfinite(self.values("mean_return_over_training")).any())
+
     def values(self, name: str) -> np.ndarray:
         """A number of each cell."""
         return np.array([getattr(cell, name) for cell in self.cells], float)

@@ -15,7 +15,7 @@ from ailsrs_jax.runs.stacking import execute_stack
 from ailsrs_jax.runs.sweep_cells import Cell, Sweep
 from ailsrs_jax.runs.sweep_estimate import estimated_env_steps
 from ailsrs_jax.runs.sweep_ray import run_on_ray
-from ailsrs_jax.runs.sweep_results import DONE
+from ailsrs_jax.runs.sweep_results import DONE, NOT_RUN
 from ailsrs_jax.runs.sweep_spec import MOST_CELLS, expand, read_spec
 from ailsrs_jax.runs.sweep_tables import (
     RESULT_FILE,
@@ -85,8 +85,8 @@ def sweep(
         watch: is told how it goes.
 
     Returns:
-        The rows of ``results.csv``, a cell each; those of other shards may have the status
-        ``not run``.
+        The rows of ``results.csv``, a cell each. One whose status is ``not run``, as of another
+        shard, or ``failed: `` and why, says nothing else of what came of it.
 
     Raises:
         UserError: the spec is wrong, or the directory holds another sweep or cannot be written.
@@ -180,7 +180,7 @@ def run_units(
         rows = write_tables(output, grid.cells)
         ended = left.intersection(cell.name for cell in unit)
         for row in rows:
-            if watch is not None and row["cell"] in ended:
+            if watch is not None and row["cell"] in ended and row["status"] != NOT_RUN:
                 watch.end(row)
     return rows
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.data.files import read_json_object, write_atomically
+from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import takes_physics
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.run import Plan, make_plan
@@ -36,24 +37,35 @@ class Cell:
     program: str  # cells with the same one can be trained together
     seed: int
 
+    @property
+    def decided_physics(self) -> str:
+        """``physics``, but what ``auto`` means is not for each machine of a cluster to say."""
+        decided = self.engine in ENGINES and takes_physics(self.env_id)
+        return self.engine if decided else self.physics
+
     def make_plan(self) -> Plan:
         """The run of this cell alone.
 
         Raises:
-            UserError: something of it is wrong.
+            UserError: something of it is wrong, or its demonstrations are not what they were.
         """
-        return make_plan(
+        plan = make_plan(
             self.env_id,
             self.demonstrations,
             self.num_trajectories,
             (self.seed,),
             self.preset,
-            # What auto means is decided once, and not by each machine of a cluster.
-            self.engine if takes_physics(self.env_id) else self.physics,
+            self.decided_physics,
             self.settings,
             subsample=self.subsample,
             algorithm=self.algorithm,
         )
+        if self.demonstrations_sha256 not in (None, plan.config.demonstrations_sha256):
+            raise UserError(
+                f"{self.demonstrations} is not what it was when the sweep began: bring that back, "
+                "or choose another output directory"
+            )
+        return plan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +130,8 @@ def load_sweep(path: Path) -> Sweep:
     """
     fields = read_json_object(path, "of a sweep", MAX_SWEEP)
     try:
-        cells = tuple(Cell(**cell) for cell in fields["cells"])
+        # An earlier version did not note what the demonstrations hold.
+        cells = tuple(Cell(**{"demonstrations_sha256": None} | cell) for cell in fields["cells"])
         names = [cell.name for cell in cells]
         # They become directories.
         if len(set(names)) < len(names) or not all(map(PLAIN_NAME.fullmatch, names)):

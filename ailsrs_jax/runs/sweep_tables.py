@@ -73,7 +73,7 @@ def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> 
     if config.env_id in TASKS:
         physics, limit = "gymnasium", EPISODE_LENGTH
     else:
-        physics, limit = cell.physics, length
+        physics, limit = cell.decided_physics, length
     evaluation = evaluate(policy, episodes, physics, episode_length=limit)
     if not np.isfinite(evaluation.returns).all():
         raise UserError("the kept policy's returns are not all finite")

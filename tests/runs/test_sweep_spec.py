@@ -145,9 +145,12 @@ def test_what_auto_means_is_decided_once(in_tmp_path: Path) -> None:
 def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
     spec = grid(demonstrations)
     expand(spec).save(Path("sweep/sweep.json"))
+    (begun,) = load_sweep(Path("sweep/sweep.json")).cells
     recorded = ail.load_demonstrations(demonstrations)
     other = recorded.replace(observations=0.5 * recorded.observations)
     save_demonstrations(other, demonstrations)
+    with pytest.raises(ail.UserError, match=r"point_mass\.npz is not what it was when the sweep"):
+        begun.make_plan()
     with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
         expand(spec).save(Path("sweep/sweep.json"))
     (shipped,) = expand({"env": "swimmer", "grid": [{"num_trajectories": 1}]}).cells

@@ -66,6 +66,11 @@ def test_episodes_of_another_length_than_gymnasiums_are_not_compared(in_tmp_path
     assert all(short[name] is None for name in (*measured, "steps_to_90"))
     assert all(whole[name] is not None for name in measured)
     assert short["length_mean"] == whole["length_mean"] == 1000
+    ail.report_sweep("sweep")
+    rows = [
+        line for line in Path("sweep/table.md").read_text().splitlines() if "| 1 | 1 of 1 |" in line
+    ]
+    assert [line.endswith("| – | – | – |") for line in rows] == [True, False]
 
 
 def again(row: dict[str, Any]) -> dict[str, Any]:

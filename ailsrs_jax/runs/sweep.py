@@ -86,7 +86,7 @@ def sweep(
 
     Returns:
         The rows of ``results.csv``, a cell each. One whose status is ``not run``, as of another
-        shard, or ``failed: `` and why, says nothing else of what came of it.
+        shard, or begins with ``failed:`` says nothing else of what came of it.
 
     Raises:
         UserError: the spec is wrong, or the directory holds another sweep or cannot be written.

@@ -40,14 +40,17 @@ def update(
 ) -> RunningStatistics:
     """Merge the samples ``(..., n)`` whose ``mask (...)`` is true.
 
-    The batch's own moments are computed in two passes, which stays accurate when the mean is far
-    from zero. Where the batch is spread over devices, each with its own ``samples``, ``total`` is
+    The batch's own moments are computed in passes of their own, which stays accurate when the mean
+    is far from zero: the sum of large numbers rounds, and that of their deviations from the mean
+    that it gives says by how much. Where the batch is spread over devices, each with its own ``samples``, ``total`` is
     what sums over all of them.
     """
     samples = samples.reshape(-1, samples.shape[-1])
     mask = mask.reshape(-1, 1)
     batch_count = total(jnp.sum(mask)).astype(jnp.float32)
-    batch_mean = total(jnp.sum(samples, axis=0, where=mask)) / jnp.maximum(batch_count, 1.0)
+    divisor = jnp.maximum(batch_count, 1.0)
+    batch_mean = total(jnp.sum(samples, axis=0, where=mask)) / divisor
+    batch_mean += total(jnp.sum(samples - batch_mean, axis=0, where=mask)) / divisor
     batch_sum = total(jnp.sum(jnp.square(samples - batch_mean), axis=0, where=mask))
     return merge(statistics, batch_count, batch_mean, batch_sum)
 

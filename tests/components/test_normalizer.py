@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ailsrs_jax.components import normalizer
@@ -58,6 +58,7 @@ def test_a_constant_dimension_is_left_unscaled(value: float) -> None:
 
 
 @settings(max_examples=30, deadline=None)
+@example(seed=0, offset=798878.25, scale=0.125, sizes=[300])  # of which the plain sum rounds
 @given(
     seed=st.integers(0, 1000),
     offset=st.floats(-1e6, 1e6, width=32),

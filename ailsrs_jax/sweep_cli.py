@@ -125,14 +125,13 @@ def report(
     errors = Console(stderr=True, soft_wrap=True)  # --quiet leaves them
     for row in failed:
         errors.print(f"{row['cell']} {row['status']}", style="red", markup=False, highlight=False)
-    if missing := len(rows) - done - len(failed):
-        console.print(f"{missing} of {len(rows)} cells have not been run yet", highlight=False)
     console.print(
-        f"{done} cells; table.md, figures/ and results.csv are in {escape(str(output))}",
+        f"{done} of {len(rows)} cells done; table.md, figures/ and results.csv are in "
+        f"{escape(str(output))}",
         soft_wrap=True,
     )
     if failed:
-        errors.print(f"{len(failed)} cells have failed; the same command tries them again")
+        errors.print(f"{len(failed)} of {len(rows)} failed; the same command tries them again")
         sys.exit(1)
 
 

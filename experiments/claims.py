@@ -24,6 +24,7 @@ from experiments.evidence import (
 )
 from experiments.rules import compared, reaches
 
+STARTS = "(after the start: AILSRS's is cloned on every task, GAIL's on HalfCheetah)"
 TEXT = "Abstract, introduction, background, conclusion"
 SEEDS = "Figure 3: training curves"
 
@@ -122,7 +123,7 @@ CLAIMS = [
         "Computationally efficient, trains quickly",
         "",
         "from 10 demonstrations, 90 % of the expert in less wall-clock time than GAIL, median "
-        "(after the start: AILSRS's is cloned on every task, GAIL's on HalfCheetah)",
+        f"{STARTS}",
         FIGURE_2,
         rules.faster_than_gail,
     ),
@@ -130,8 +131,7 @@ CLAIMS = [
         TEXT,
         "GAIL requires much interaction with the environment to get reasonable performance",
         "",
-        "from 10 demonstrations, 90 % of the expert after more steps than AILSRS, median "
-        "(after the start: AILSRS's is cloned on every task, GAIL's on HalfCheetah)",
+        f"from 10 demonstrations, 90 % of the expert after more steps than AILSRS, median {STARTS}",
         FIGURE_2,
         rules.gail_needs_more_interaction,
     ),

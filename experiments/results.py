@@ -58,18 +58,19 @@ its clone is at the expert's level, and from nothing on the other three (from it
 Humanoid, which are no comparison of the paper's); its iterations are set by task, so that from ten
 demonstrations it gets from half (HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many
 steps as it might want. So what is compared are these two set-ups, not the two methods at their
-best. Tasks are version 5, not
-2, and the experts others, so returns are compared as shares of the expert's. On Walker2d the expert
-of the paper's level falls after about 385 steps: standing still for all 1000 returns as much and
-walking on twice that, so a return like its own, and the time until it, say less there than
-elsewhere. As in the paper, `BC` trains a policy of AILSRS's structure; `neural BC`, of GAIL's
-network, decides no claim. [docs/figures.md](../docs/figures.md) explains the figures.
+best. Tasks are version 5, not 2, and the experts others, so returns are compared as shares of the
+expert's. On Walker2d the expert of the paper's level falls after about 385 steps: standing still
+for all 1000 returns as much and walking on twice that, so a return like its own, and the time until
+it, say less there than elsewhere. As in the paper, `BC` trains a policy of AILSRS's structure;
+`neural BC`, of GAIL's network, decides no claim. [docs/figures.md](../docs/figures.md) explains the
+figures.
 
 Cells are from more than one processor, on which the same command [ends
 elsewhere](../docs/numerics.md#what-is-reproducible). AILSRS's from ten and from forty
 demonstrations are of one, those from twenty and thirty of two. Before the former were trained anew
-there, whatever came of it, Hopper from ten was at 0.93 ± 0.01 and from forty at 0.93 ± 0.03: what
-is said of Hopper and the mark of 0.9 depends on the processor."""
+there, whatever came of it, Hopper from ten was at 0.93 ± 0.01 (tables of commit 3efcefc) and from
+forty at 0.93 ± 0.03 (of ef15b9d): what is said of Hopper and the mark of 0.9 depends on the
+processor."""
 
 
 def main() -> None:

@@ -245,7 +245,7 @@ def ninety_percent(expert_return: float) -> float:
 
 
 @functools.cache
-def random_return(env_id: str, physics: str, episode_length: int = EPISODE_LENGTH) -> float:
+def random_return(env_id: str, physics: str, episode_length: int) -> float:
     """Mean return of 100 episodes of uniformly random actions."""
     return evaluate_random(env_id, physics=physics, episode_length=episode_length).mean
 

@@ -189,7 +189,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
     printed = capsys.readouterr().out
     assert "2/2  tests.point" in printed
-    assert "2 cells; table.md, figures/ and results.csv are in out" in printed
+    assert "2 of 2 cells done; table.md, figures/ and results.csv are in out" in printed
     assert Path("out/table.md").exists()
     assert list(Path("out/figures").glob("*.png"))
 
@@ -202,8 +202,8 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, *arguments) == 1
     said = capsys.readouterr()
     assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in said.err
-    assert "1 cells have failed; the same command tries them again" in said.err
-    assert "1 cells; table.md" in said.out
+    assert "1 of 2 failed; the same command tries them again" in said.err
+    assert "1 of 2 cells done; table.md" in said.out
     assert ailsrs(monkeypatch, *arguments, "--quiet") == 1
     said = capsys.readouterr()
     assert said.out == ""

@@ -142,6 +142,15 @@ def test_what_auto_means_is_decided_once(in_tmp_path: Path) -> None:
     assert dataclasses.replace(cell, engine=elsewhere).make_plan().config.physics == elsewhere
 
 
+def test_a_sweep_of_an_earlier_version_goes_on(in_tmp_path: Path) -> None:
+    sweep, path = expand(quick_grid()), Path("sweep.json")
+    sweep.save(path)
+    content = json.loads(path.read_text())
+    del content["cells"][0]["demonstrations_sha256"]
+    path.write_text(json.dumps(content))
+    sweep.require_same(path)
+
+
 def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
     spec = grid(demonstrations)
     expand(spec).save(Path("sweep/sweep.json"))

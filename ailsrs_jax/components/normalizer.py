@@ -42,8 +42,8 @@ def update(
 
     The batch's own moments are computed in passes of their own, which stays accurate when the mean
     is far from zero: the sum of large numbers rounds, and that of their deviations from the mean
-    that it gives says by how much. Where the batch is spread over devices, each with its own ``samples``, ``total`` is
-    what sums over all of them.
+    that it gives says by how much. Where the batch is spread over devices, each with its own
+    ``samples``, ``total`` is what sums over all of them.
     """
     samples = samples.reshape(-1, samples.shape[-1])
     mask = mask.reshape(-1, 1)

@@ -64,7 +64,10 @@ _AILSRS_TUNED: Presets = {
         gradient_penalty=4.0,
         num_evaluation_episodes=16,
     ),
-    "Hopper-v5": dataclasses.replace(_TUNED, num_iterations=60),
+    # The best of five by seeds that no other result has: experiments/held_back.toml.
+    "Hopper-v5": dataclasses.replace(
+        _TUNED, num_iterations=120, num_directions=16, num_top_directions=4
+    ),
     "Swimmer-v5": dataclasses.replace(_TUNED_ENDLESS, num_iterations=20),
     "Walker2d-v5": dataclasses.replace(_TUNED, num_iterations=60),
 }
@@ -177,7 +180,7 @@ def preset_settings(env: str, preset: str, algorithm: str = "ailsrs") -> Any:
 
     >>> import ailsrs_jax as ail
     >>> ail.preset_settings("hopper", "tuned").num_directions
-    32
+    16
 
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``, or any other name for one's own.

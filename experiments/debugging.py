@@ -2,7 +2,7 @@
 
 usage: python -m experiments.debugging    (writes docs/pictures/discriminator.png)
 
-Draws from experiments/debugging/, which has settings and metrics of two runs at commit 1375c23:
+Draws from experiments/debugging/, which has settings and metrics of two runs at commit 0fb3d7d:
 
     ailsrs train hopper --num-trajectories 10 --output even
     ailsrs train hopper --num-trajectories 10 --output lost --iterations 30

@@ -84,6 +84,8 @@ def main() -> None:
                 raise UserError("usage: python -m experiments.results [add NAME DIRECTORY COMMIT]")
         sweeps = read_all(RESULTS)
         for name in sweeps:
+            # Those of labels that are gone would stay, and be shown.
+            shutil.rmtree(RESULTS / name / "figures", ignore_errors=True)
             report_sweep(RESULTS / name)
         write_text(PAGE, page(sweeps))
     except UserError as error:

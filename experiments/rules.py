@@ -72,7 +72,7 @@ def reaches(
         for task in tasks:
             for number in numbers:
                 group = evidence.group(label, task, number, sweep)
-                value = plus_minus(group.values("normalized"), 2)
+                value = plus_minus(group.values("normalized"), 3)
                 yield Check(_where(task, number), value, score(group) >= REACHED)
 
     return checks

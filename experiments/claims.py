@@ -123,7 +123,7 @@ CLAIMS = [
         "Computationally efficient, trains quickly",
         "",
         "from 10 demonstrations, 90 % of the expert in less wall-clock time than GAIL, median "
-        f"{STARTS}",
+        + STARTS,
         FIGURE_2,
         rules.faster_than_gail,
     ),

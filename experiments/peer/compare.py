@@ -43,6 +43,7 @@ import numpy as np
 
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.envs.registry import resolve_env_id, short_name
+from ailsrs_jax.runs.sweep_tables import hardware
 
 HERE = Path(__file__).resolve().parent
 PEER_PYTHON = HERE.parents[1] / ".venv-peer/bin/python"
@@ -240,7 +241,7 @@ def main() -> None:
         "expert_returns": expert_returns.tolist(),
         "target": target,
         "max_steps": arguments.max_steps,
-        "cores": os.cpu_count(),
+        "hardware": hardware(),
         "runs": [dataclasses.asdict(run) for run in runs],
     }
     output.write_text(json.dumps(content) + "\n")

@@ -69,7 +69,7 @@ _AILSRS_TUNED: Presets = {
         _TUNED, num_iterations=120, num_directions=16, num_top_directions=4
     ),
     "Swimmer-v5": dataclasses.replace(_TUNED_ENDLESS, num_iterations=20),
-    # The same, in experiments/held_back_walker2d.toml.
+    # Likewise the best of five: experiments/held_back_walker2d.toml.
     "Walker2d-v5": dataclasses.replace(_TUNED, num_iterations=60, discriminator_steps=20),
 }
 

@@ -9,34 +9,35 @@ if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
     from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
     from ailsrs_jax.data.episodes import Recording as Recording
-    from ailsrs_jax.data.imitation_datasets import load_imitation as load_imitation
-    from ailsrs_jax.data.minari_datasets import load_minari as load_minari
-    from ailsrs_jax.data.minari_datasets import save_minari as save_minari
+    from ailsrs_jax.data.formats.imitation import load_imitation as load_imitation
+    from ailsrs_jax.data.formats.minari import load_minari as load_minari
+    from ailsrs_jax.data.formats.minari import save_minari as save_minari
     from ailsrs_jax.data.policies import SavedLinearPolicy as SavedLinearPolicy
     from ailsrs_jax.data.policies import SavedMlpPolicy as SavedMlpPolicy
     from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
     from ailsrs_jax.data.policies import load_policy as load_policy
-    from ailsrs_jax.envs.mujoco_task import MujocoTask as MujocoTask
     from ailsrs_jax.envs.registry import make_env as make_env
+    from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask as MujocoTask
     from ailsrs_jax.errors import UserError as UserError
-    from ailsrs_jax.html_report import report as report
     from ailsrs_jax.runs.demonstrate import demonstrate as demonstrate
     from ailsrs_jax.runs.demonstrate import record as record
     from ailsrs_jax.runs.evaluation import Evaluation as Evaluation
     from ailsrs_jax.runs.evaluation import evaluate as evaluate
-    from ailsrs_jax.runs.evolution import EvolutionSettings as EvolutionSettings
-    from ailsrs_jax.runs.expert import train_expert as train_expert
-    from ailsrs_jax.runs.export import export as export
-    from ailsrs_jax.runs.metrics import IterationReport as IterationReport
+    from ailsrs_jax.runs.experts.evolution import EvolutionSettings as EvolutionSettings
+    from ailsrs_jax.runs.experts.expert import train_expert as train_expert
+    from ailsrs_jax.runs.experts.ppo import PpoSettings as PpoSettings
     from ailsrs_jax.runs.policies import jax_policy as jax_policy
     from ailsrs_jax.runs.policies import load_expert as load_expert
-    from ailsrs_jax.runs.ppo import PpoSettings as PpoSettings
-    from ailsrs_jax.runs.presets import preset_settings as preset_settings
     from ailsrs_jax.runs.run import Result as Result
     from ailsrs_jax.runs.run import train as train
-    from ailsrs_jax.runs.sweep import sweep as sweep
-    from ailsrs_jax.runs.sweep_merge import merge_sweeps as merge_sweeps
-    from ailsrs_jax.sweep_report import report_sweep as report_sweep
+    from ailsrs_jax.runs.storage.metrics import IterationReport as IterationReport
+    from ailsrs_jax.show.export import export as export
+    from ailsrs_jax.show.report import report as report
+    from ailsrs_jax.show.sweep_report import report_sweep as report_sweep
+    from ailsrs_jax.show.video import Animation as Animation
+    from ailsrs_jax.show.video import render as render
+    from ailsrs_jax.sweeps.merge import merge_sweeps as merge_sweeps
+    from ailsrs_jax.sweeps.sweep import sweep as sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
@@ -51,11 +52,10 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.gail import Gail as Gail
     from ailsrs_jax.trainers.gail import GailSettings as GailSettings
     from ailsrs_jax.trainers.gail import make_gail as make_gail
+    from ailsrs_jax.trainers.presets import preset_settings as preset_settings
     from ailsrs_jax.trainers.trpo import Trpo as Trpo
     from ailsrs_jax.trainers.trpo import TrpoSettings as TrpoSettings
     from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
-    from ailsrs_jax.video import Animation as Animation
-    from ailsrs_jax.video import render as render
 
 # XLA, as it takes a program from the cache, prints lines about processor features that only tell
 # the compiler what to prefer. It reads this as JAX is imported; errors are raised all the same.
@@ -66,19 +66,19 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 _HOMES = {
     "Ailsrs": "trainers.ailsrs",
     "AilsrsSettings": "trainers.ailsrs",
-    "Animation": "video",
+    "Animation": "show.video",
     "Ars": "trainers.ars",
     "ArsSettings": "trainers.ars",
     "BehaviorCloning": "trainers.behavior_cloning",
     "BehaviorCloningSettings": "trainers.behavior_cloning",
     "Demonstrations": "data.demonstrations",
     "Evaluation": "runs.evaluation",
-    "EvolutionSettings": "runs.evolution",
+    "EvolutionSettings": "runs.experts.evolution",
     "Gail": "trainers.gail",
     "GailSettings": "trainers.gail",
-    "IterationReport": "runs.metrics",
-    "MujocoTask": "envs.mujoco_task",
-    "PpoSettings": "runs.ppo",
+    "IterationReport": "runs.storage.metrics",
+    "MujocoTask": "envs.tasks.mujoco_task",
+    "PpoSettings": "runs.experts.ppo",
     "Recording": "data.episodes",
     "Result": "runs.run",
     "SavedLinearPolicy": "data.policies",
@@ -89,12 +89,12 @@ _HOMES = {
     "UserError": "errors",
     "demonstrate": "runs.demonstrate",
     "evaluate": "runs.evaluation",
-    "export": "runs.export",
+    "export": "show.export",
     "jax_policy": "runs.policies",
     "load_demonstrations": "data.demonstrations",
     "load_expert": "runs.policies",
-    "load_imitation": "data.imitation_datasets",
-    "load_minari": "data.minari_datasets",
+    "load_imitation": "data.formats.imitation",
+    "load_minari": "data.formats.minari",
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
     "make_ars": "trainers.ars",
@@ -102,17 +102,17 @@ _HOMES = {
     "make_env": "envs.registry",
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
-    "merge_sweeps": "runs.sweep_merge",
-    "preset_settings": "runs.presets",
+    "merge_sweeps": "sweeps.merge",
+    "preset_settings": "trainers.presets",
     "record": "runs.demonstrate",
-    "render": "video",
-    "report": "html_report",
-    "report_sweep": "sweep_report",
+    "render": "show.video",
+    "report": "show.report",
+    "report_sweep": "show.sweep_report",
     "save_demonstrations": "data.demonstrations",
-    "save_minari": "data.minari_datasets",
-    "sweep": "runs.sweep",
+    "save_minari": "data.formats.minari",
+    "sweep": "sweeps.sweep",
     "train": "runs.run",
-    "train_expert": "runs.expert",
+    "train_expert": "runs.experts.expert",
 }
 
 __all__ = sorted(_HOMES)

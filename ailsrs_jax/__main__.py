@@ -1,5 +1,5 @@
 """``python -m ailsrs_jax`` is ``ailsrs``."""
 
-from ailsrs_jax.cli import main
+from ailsrs_jax.cli.main import main
 
 main()

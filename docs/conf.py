@@ -20,7 +20,7 @@ from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
 import ailsrs_jax
-from ailsrs_jax.cli import app as command_line
+from ailsrs_jax.cli.main import app as command_line
 
 project = "ailsrs_jax"
 copyright = "the ailsrs_jax developers"  # noqa: A001
@@ -60,7 +60,8 @@ PARTS = {
     "data": "Demonstrations and policies",
     "envs": "Environments",
     "trainers": "Trainers and their settings",
-    "face": "Videos and reports",  # modules that are in no room
+    "show": "Videos and reports",
+    "sweeps": "Sweeps",
     "errors": "Mistakes",
 }
 # What public functions return, and nobody has to make.
@@ -116,8 +117,7 @@ def _reference() -> str:
     parts: dict[str, list[str]] = {title: [] for title in PARTS.values()}
     for name in sorted(ailsrs_jax.__all__, key=lambda name: (name[0].isupper(), name)):
         home = ailsrs_jax._HOMES[name]
-        room = home.split(".")[0] if "." in home or home in PARTS else "face"
-        parts[PARTS[room]].append(_entry(f"ailsrs_jax.{name}"))
+        parts[PARTS[home.split(".")[0]]].append(_entry(f"ailsrs_jax.{name}"))
     others = [path for path in RETURNED if path.split(".")[-1] not in ailsrs_jax.__all__]
     parts["What they return"] = [_entry(f"ailsrs_jax.{path}") for path in others]
     return "".join(

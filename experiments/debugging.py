@@ -16,7 +16,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from ailsrs_jax.runs.metrics import read_metrics
+from ailsrs_jax.runs.storage.metrics import read_metrics
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from ailsrs_jax.runs.metrics import read_rows
-from ailsrs_jax.runs.sweep_results import read_results
+from ailsrs_jax.runs.storage.metrics import read_rows
+from ailsrs_jax.sweeps.results import read_results
 
 
 def main() -> None:

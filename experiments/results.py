@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.statistics import group_cells
-from ailsrs_jax.runs.sweep import SWEEP_FILE
-from ailsrs_jax.runs.sweep_cells import load_sweep
-from ailsrs_jax.runs.sweep_results import SweepResults, read_results
-from ailsrs_jax.sweep_report import aggregates, markdown_table, report_sweep, write_text
+from ailsrs_jax.show.sweep_report import aggregates, markdown_table, report_sweep, write_text
+from ailsrs_jax.sweeps.cells import load_sweep
+from ailsrs_jax.sweeps.results import SweepResults, read_results
+from ailsrs_jax.sweeps.statistics import group_cells
+from ailsrs_jax.sweeps.sweep import SWEEP_FILE
 from experiments.claims import CLAIMS, UNTESTED
 from experiments.evidence import MOST, PAPER_EXPERTS, Evidence, NotRunError, judge
 from experiments.rules import short

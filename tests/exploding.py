@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ailsrs_jax.envs import State
-from ailsrs_jax.envs.mujoco_task import MujocoTask
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from tests.point_mass import PointMass
 
 FINITE_STEPS = 5

@@ -7,7 +7,7 @@ import numpy as np
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.trainers.rollout import rollout
+from ailsrs_jax.trainers.parts.rollout import simulate
 
 TIME_STEP = 0.1
 EXPERT_WEIGHTS = np.array([[-0.4, -0.6]], np.float32)  # a damped spring, too weak to saturate
@@ -71,7 +71,7 @@ def expert_policy() -> LinearPolicy:
 def point_mass_demonstrations(env: PointMass, num_episodes: int = 8) -> Demonstrations:
     policies = expert_policy().with_weights(jnp.tile(EXPERT_WEIGHTS, (num_episodes, 1, 1)))
     keys = jax.random.split(jax.random.key(0), num_episodes)
-    episodes = rollout(env, policies, keys, EPISODE_LENGTH)
+    episodes = simulate(env, policies, keys, EPISODE_LENGTH)
     return Demonstrations(
         observations=np.asarray(episodes.observations),
         actions=np.asarray(episodes.actions),

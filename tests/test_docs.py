@@ -13,13 +13,13 @@ import pytest
 import tyro
 
 import ailsrs_jax
-from ailsrs_jax.arguments import assignments
-from ailsrs_jax.cli import app
+from ailsrs_jax.cli.arguments import assignments
+from ailsrs_jax.cli.main import app
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import load_policy
-from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.trainers.settings import override
-from tests.test_cli import TINY, ailsrs
+from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.presets import preset_settings
+from tests.cli.test_cli import TINY, ailsrs
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

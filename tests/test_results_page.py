@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.statistics import group_cells, interquartile_mean, scores
-from ailsrs_jax.runs.sweep_cells import Cell
-from ailsrs_jax.sweep_report import estimate, plus_minus
-from tests.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
+from ailsrs_jax.show.sweep_report import estimate, plus_minus
+from ailsrs_jax.sweeps.cells import Cell
+from ailsrs_jax.sweeps.statistics import group_cells, interquartile_mean, scores
+from tests.sweeps.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="the package is installed without them")
 from experiments import results

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from ailsrs_jax.progress import print_benchmark
-from ailsrs_jax.runs.benchmark import Row
+from ailsrs_jax.cli.progress import print_benchmark
+from ailsrs_jax.runs.benchmark.speed import Row
 from experiments.peer import compare
 
 ROOT = Path(__file__).parent.parent

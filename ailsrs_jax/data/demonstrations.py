@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from flax import struct
 
-from ailsrs_jax.data.files import read_npz, require_name, write_atomically
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.files import read_npz, require_name, write_atomically
 
 REQUIRED = ("observations", "lengths", "returns", "env_id")
 OPTIONAL = ("actions", "stride")

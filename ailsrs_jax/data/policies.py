@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ailsrs_jax.data.files import read_npz, require_name, write_atomically
-from ailsrs_jax.data.onnx_files import encode_onnx
-from ailsrs_jax.data.safetensors_files import encode_safetensors, read_safetensors
+from ailsrs_jax.data.formats.onnx import encode_onnx
+from ailsrs_jax.data.formats.safetensors import encode_safetensors, read_safetensors
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.files import read_npz, require_name, write_atomically
 
 # The fields that any policy's file has, beside env_id; then those of a neural one.
 COMMON_ARRAYS = ("mean", "std", "action_low", "action_high")

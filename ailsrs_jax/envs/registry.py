@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.ant import Ant
-from ailsrs_jax.envs.half_cheetah import HalfCheetah
-from ailsrs_jax.envs.hopper import Hopper
-from ailsrs_jax.envs.humanoid import Humanoid
 from ailsrs_jax.envs.interface import env_name, require_env
-from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.swimmer import Swimmer
-from ailsrs_jax.envs.walker2d import Walker2d
+from ailsrs_jax.envs.tasks.ant import Ant
+from ailsrs_jax.envs.tasks.half_cheetah import HalfCheetah
+from ailsrs_jax.envs.tasks.hopper import Hopper
+from ailsrs_jax.envs.tasks.humanoid import Humanoid
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.envs.tasks.swimmer import Swimmer
+from ailsrs_jax.envs.tasks.walker2d import Walker2d
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {

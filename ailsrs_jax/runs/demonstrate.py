@@ -13,30 +13,30 @@ import numpy as np
 from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from ailsrs_jax.data.episodes import Recording
-from ailsrs_jax.data.files import cache_directory
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
-from ailsrs_jax.envs.late_end import LateEnd
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.envs.wrappers import LateEnd
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.config import installed_versions, require_seed
+from ailsrs_jax.files import cache_directory
 from ailsrs_jax.runs.policies import jax_policy
-from ailsrs_jax.trainers.rollout import Rollout, rollout
+from ailsrs_jax.runs.storage.config import installed_versions, require_seed
+from ailsrs_jax.trainers.parts.rollout import Episodes, simulate
 
 NOISE_STREAM = 1  # apart from the numbers that a reset draws
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 
-def simulate(
+def roll_out(
     policy: SavedPolicy,
     env: Env,
     num_episodes: int,
     key: jax.Array,
     episode_length: int = EPISODE_LENGTH,
     noise_std: np.ndarray | float | None = None,
-) -> Rollout:
+) -> Episodes:
     """Roll out ``policy`` in ``env``; episode ``i`` does not depend on how many there are.
 
     With ``noise_std``, a number or ``(p,)``, Gaussian noise is added to the actions before they are
@@ -59,10 +59,10 @@ def simulate(
 
 
 @functools.lru_cache(maxsize=4)
-def _compiled_rollout(env: Env, episode_length: int) -> Callable[..., Rollout]:
+def _compiled_rollout(env: Env, episode_length: int) -> Callable[..., Episodes]:
     """Compiled once for all the policies of a run."""
     return jax.jit(
-        lambda policies, keys, noise: rollout(env, policies, keys, episode_length, noise=noise)
+        lambda policies, keys, noise: simulate(env, policies, keys, episode_length, noise=noise)
     )
 
 
@@ -133,7 +133,7 @@ def record(
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
     key, noise_std = jax.random.key(seed), action_noise or None
-    episodes = simulate(
+    episodes = roll_out(
         policy, _late_end(task.env), num_trajectories, key, episode_length + 1, noise_std
     )
     if diverged := np.flatnonzero(episodes.diverged).tolist():

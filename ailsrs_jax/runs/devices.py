@@ -9,12 +9,12 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 
-from ailsrs_jax.data.files import cache_directory
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.devices import AXIS, ONE_DEVICE, Devices
+from ailsrs_jax.files import cache_directory
+from ailsrs_jax.trainers.parts.devices import AXIS, ONE_DEVICE, Devices
 
 # Simulations of a CPU core at a time. More make better use of its vector units, fewer leave less
 # to wait for when the last episodes of an iteration are still alive (experiments/packing.py).

@@ -14,9 +14,9 @@ from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, open_env, resolve_env_id
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.config import require_seed
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, simulate
-from ailsrs_jax.trainers.rollout import rollout
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
+from ailsrs_jax.runs.storage.config import require_seed
+from ailsrs_jax.trainers.parts.rollout import simulate
 
 EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
 
@@ -100,7 +100,7 @@ def evaluate(
     # Not the initial states that demonstrations of the same seed begin with.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
     noise_std = policy.noise_std if stochastic else None
-    episodes = simulate(policy, task.env, num_episodes, key, episode_length, noise_std)
+    episodes = roll_out(policy, task.env, num_episodes, key, episode_length, noise_std)
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 
@@ -124,7 +124,7 @@ def evaluate_random(
     noise = jax.random.uniform(noise_key, shape, minval=low, maxval=high)
     keys = jax.random.split(reset_key, num_episodes)
     policies = repeated(still, num_episodes)
-    episodes = jax.jit(lambda: rollout(env, policies, keys, episode_length, noise=noise))()
+    episodes = jax.jit(lambda: simulate(env, policies, keys, episode_length, noise=noise))()
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.runs.metrics import IterationReport
+from ailsrs_jax.runs.storage.metrics import IterationReport
 
 
 def iterate(

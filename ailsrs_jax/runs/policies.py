@@ -16,7 +16,7 @@ from ailsrs_jax.data.policies import (
     load_policy,
 )
 from ailsrs_jax.envs.registry import resolve_env_id
-from ailsrs_jax.runs.config import RunConfig
+from ailsrs_jax.runs.storage.config import RunConfig
 
 
 def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:

@@ -14,8 +14,6 @@ from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.algorithms import Algorithm, find_algorithm, make_trainer
-from ailsrs_jax.runs.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.devices import (
     anywhere,
     choose_batch_size,
@@ -24,17 +22,19 @@ from ailsrs_jax.runs.devices import (
     set_up_jax,
     together,
 )
-from ailsrs_jax.runs.directory import RunDirectory, claimed
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.runs.metrics import IterationReport
 from ailsrs_jax.runs.policies import kept_policies
-from ailsrs_jax.runs.presets import preset_settings
-from ailsrs_jax.runs.tracked import tracked
-from ailsrs_jax.runs.trackers import require_tracker
+from ailsrs_jax.runs.storage.config import RunConfig, content_hash, require_seed
+from ailsrs_jax.runs.storage.directory import RunDirectory, claimed
+from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.runs.storage.tracked import tracked
+from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
-from ailsrs_jax.trainers.devices import ONE_DEVICE, Devices
-from ailsrs_jax.trainers.settings import override
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
+from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
+from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.presets import preset_settings
 
 CHECKPOINT_EVERY = 10  # iterations
 
@@ -58,7 +58,7 @@ class Plan:
         return find_algorithm(self.config.algorithm)
 
     def make_trainer(self) -> Trainer:
-        """The trainer; see :func:`~ailsrs_jax.runs.algorithms.make_trainer`."""
+        """The trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
         return make_trainer(
             self.algorithm,
             self.env,
@@ -233,7 +233,7 @@ def execute(
         output: the run directory.
         resume: go on from its newest checkpoint.
         checkpoint_every: so many iterations.
-        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.trackers`.
+        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         watch: called after every iteration.
         stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 

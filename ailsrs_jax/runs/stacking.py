@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.directory import claimed, save_policies
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.runs.journal import Journal
-from ailsrs_jax.runs.metrics import IterationReport, read_metrics, require_most_finite
 from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.run import CHECKPOINT_EVERY, Plan, Result, Watch
-from ailsrs_jax.runs.tracked import tracked
-from ailsrs_jax.trainers.expert import Expert
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.runs.storage.checkpoint import Checkpoints
+from ailsrs_jax.runs.storage.directory import claimed, save_policies
+from ailsrs_jax.runs.storage.journal import Journal
+from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, require_most_finite
+from ailsrs_jax.runs.storage.tracked import tracked
+from ailsrs_jax.trainers.parts.reference import Reference
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 
 def stack_key(plan: Plan) -> Hashable:
@@ -65,7 +65,7 @@ def execute_stack(
         checkpoint_directory: of all together.
         watches: told of each run's iterations.
         watch: told of those of all together.
-        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.trackers`.
+        track: where else the metrics go; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         stop: asked after every iteration; if true, the state is saved and KeyboardInterrupt raised.
 
     Returns:
@@ -145,7 +145,7 @@ def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer
 
     What is the same in all of them is not in the arrays, but in what is made of them.
     """
-    members: list[Any] = list(trainers)  # some have an expert
+    members: list[Any] = list(trainers)  # some have a reference
     template = members[0]
     settings = [vars(trainer.settings) for trainer in members]
     arguments: dict[str, Any] = {
@@ -155,36 +155,36 @@ def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer
             if len({each[name] for each in settings}) > 1
         }
     }
-    if hasattr(template, "expert"):
-        experts = [trainer.expert for trainer in members]
+    if hasattr(template, "reference"):
+        experts = [trainer.reference for trainer in members]
         if not all(_same(expert, experts[0]) for expert in experts):
             most = max(len(expert.lengths) for expert in experts)
             padded = [_pad(expert, most) for expert in experts]
-            arguments["expert"] = jax.tree.map(lambda *xs: jnp.stack(xs), *padded)
+            arguments["reference"] = jax.tree.map(lambda *xs: jnp.stack(xs), *padded)
 
     def make(part: Any) -> Trainer:
         changes = {"settings": dataclasses.replace(template.settings, **part["settings"])}
-        if "expert" in part:
-            changes["expert"] = part["expert"]
+        if "reference" in part:
+            changes["reference"] = part["reference"]
         made: Trainer = dataclasses.replace(template, **changes)
         return made
 
     return make, arguments
 
 
-def _same(one: Expert, other: Expert) -> bool:
+def _same(one: Reference, other: Reference) -> bool:
     leaves = jax.tree.leaves(one), jax.tree.leaves(other)
     return all(np.array_equal(x, y) for x, y in zip(*leaves, strict=True))
 
 
-def _pad(expert: Expert, num_episodes: int) -> Expert:
+def _pad(expert: Reference, num_episodes: int) -> Reference:
     """With episodes of no steps behind its own."""
 
     def pad(array: jax.Array) -> jax.Array:
         missing = num_episodes - len(expert.lengths)
         return jnp.pad(array, [(0, missing)] + [(0, 0)] * (array.ndim - 1))
 
-    padded: Expert = expert.replace(
+    padded: Reference = expert.replace(
         observations=pad(expert.observations),
         actions=pad(expert.actions),
         lengths=pad(expert.lengths),

@@ -16,13 +16,13 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
-from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
-from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.exploration import count_episodes, explore
-from ailsrs_jax.trainers.rollout import Rollout
-from ailsrs_jax.trainers.settings import Positive, UpToOne, require_countable, validate
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
+from ailsrs_jax.trainers.parts.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
+from ailsrs_jax.trainers.parts.exploration import count_episodes, explore
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.rollout import Episodes
+from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable, validate
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 Metrics = dict[str, jax.Array]
 
@@ -83,7 +83,7 @@ class Ailsrs(Trainer):
 
     env: Env
     settings: AilsrsSettings
-    expert: Expert
+    reference: Reference
     devices: Devices = ONE_DEVICE
     rollout_batch_size: int | None = None
 
@@ -110,9 +110,9 @@ class Ailsrs(Trainer):
         statistics = normalizer.init(self.env.observation_size)
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
-            statistics = self.expert.statistics
+            statistics = self.reference.statistics
         if settings.behavior_cloning_start:
-            expert = self.expert
+            expert = self.reference
             weights = ridge_regression(expert.observations, expert.actions, expert.alive)
         return TrainState(
             weights=weights,
@@ -190,7 +190,7 @@ class Ailsrs(Trainer):
             {
                 "evaluation_return": evaluation.env_returns.mean(),
                 "evaluation_length": evaluation.lengths.mean(),
-                "expert_distance": self.expert.distance(
+                "expert_distance": self.reference.distance(
                     distance_key, evaluation, settings.episode_length
                 ),
             }
@@ -218,7 +218,7 @@ class Ailsrs(Trainer):
 
     @property
     def _adversary(self) -> Adversary:
-        return Adversary(self.settings, self.expert, self.devices)
+        return Adversary(self.settings, self.reference, self.devices)
 
     @property
     def _steps_each(self) -> int:
@@ -231,7 +231,7 @@ class Ailsrs(Trainer):
         done = jnp.minimum(iteration / max(settings.num_iterations - 1, 1), 1.0)
         return settings.step_size + done * (settings.final_step_size - settings.step_size)
 
-    def _sample_inputs(self, key: jax.Array, batch: Rollout) -> jax.Array:
+    def _sample_inputs(self, key: jax.Array, batch: Episodes) -> jax.Array:
         """``(2, N', k, d)`` discriminator inputs of k live steps of each perturbed policy."""
         shape = (2, self.settings.num_directions, self._steps_each)
         fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
@@ -247,7 +247,7 @@ class Ailsrs(Trainer):
         )
         return inputs.reshape(2, -1, *inputs.shape[1:])
 
-    def _imitation_returns(self, adversary: AdversaryState, episodes: Rollout) -> jax.Array:
+    def _imitation_returns(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
         """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T); NaN of one that diverged.
 
         r̄ is the mean over its L live steps, and ρ what those after its end are worth. A mean over
@@ -299,7 +299,7 @@ def make_ailsrs(
     devices.require_share(settings.num_directions)
     remembered = 2 * settings.num_directions * settings.memory_iterations
     require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)
-    expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
         expert.require_actions("behavior_cloning_start")

@@ -15,10 +15,10 @@ from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
-from ailsrs_jax.trainers.devices import EVERYWHERE, ONE_DEVICE, Devices
-from ailsrs_jax.trainers.exploration import count_episodes, explore
-from ailsrs_jax.trainers.settings import Positive, Signed, require_countable, validate
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.parts.devices import EVERYWHERE, ONE_DEVICE, Devices
+from ailsrs_jax.trainers.parts.exploration import count_episodes, explore
+from ailsrs_jax.trainers.parts.settings import Positive, Signed, require_countable, validate
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)

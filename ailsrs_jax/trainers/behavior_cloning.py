@@ -15,10 +15,10 @@ from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
-from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.rollout import episode_counts, rollout
-from ailsrs_jax.trainers.settings import Positive, PositiveUpToOne, validate
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.rollout import episode_counts, simulate
+from ailsrs_jax.trainers.parts.settings import Positive, PositiveUpToOne, validate
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ class BehaviorCloning(Trainer):
 
     env: Env
     settings: BehaviorCloningSettings
-    expert: Expert
+    reference: Reference
 
     def init(self, key: jax.Array) -> TrainState:
         """All weights zero."""
@@ -74,7 +74,7 @@ class BehaviorCloning(Trainer):
 
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
         """Some steps of Adam, or the exact solution; then measure the losses and the return."""
-        settings, expert = self.settings, self.expert
+        settings, expert = self.settings, self.reference
         keys = jax.random.split(state.key, 4)
         key, batch_key, reset_key, distance_key = keys
         lengths = training_lengths(expert.lengths, settings.validation_fraction)
@@ -91,7 +91,7 @@ class BehaviorCloning(Trainer):
         waited = state.iteration - kept.iteration >= settings.patience
 
         num_episodes = settings.num_evaluation_episodes
-        evaluation = rollout(
+        evaluation = simulate(
             self.env,
             repeated(policy, num_episodes),
             jax.random.split(reset_key, num_episodes),
@@ -117,7 +117,7 @@ class BehaviorCloning(Trainer):
 
     def policy(self, weights: jax.Array) -> LinearPolicy:
         """The policy with the expert's statistics."""
-        statistics = self.expert.statistics
+        statistics = self.reference.statistics
         return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
 
     @property
@@ -128,7 +128,7 @@ class BehaviorCloning(Trainer):
         self, weights: jax.Array, optimizer: optax.OptState, lengths: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, optax.OptState]:
         """Adam on minibatches of the first ``lengths (E,)`` steps of the demonstrations."""
-        settings, expert = self.settings, self.expert
+        settings, expert = self.settings, self.reference
 
         def loss(weights: jax.Array, episode: jax.Array, time: jax.Array) -> jax.Array:
             predicted = expert.observations[episode, time] @ weights.T
@@ -149,7 +149,7 @@ class BehaviorCloning(Trainer):
 
     def _loss(self, weights: jax.Array, mask: jax.Array) -> jax.Array:
         """``()`` mean of ‖M z − a‖² over the steps where ``mask (E, T)`` is true."""
-        errors = jnp.square(self.expert.observations @ weights.T - self.expert.actions)
+        errors = jnp.square(self.reference.observations @ weights.T - self.reference.actions)
         return jnp.sum(errors, where=mask[..., None]) / jnp.maximum(mask.sum(), 1)
 
 
@@ -180,6 +180,6 @@ def make_behavior_cloning(
         UserError: a setting makes no sense, or they hold no actions.
     """
     validate(settings)
-    expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
     expert.require_actions("behaviour cloning")
     return BehaviorCloning(env, settings, expert)

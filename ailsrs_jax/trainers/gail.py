@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from ailsrs_jax.components import normalizer, trpo
+from ailsrs_jax.components import normalizer, trust_region
 from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.policy import KeptPolicy, keep, perceptron
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.trainers import segments
-from ailsrs_jax.trainers.actor_critic import (
+from ailsrs_jax.trainers.parts import segments
+from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
     ActorParameters,
     TrustRegionSettings,
@@ -28,11 +28,11 @@ from ailsrs_jax.trainers.actor_critic import (
     require_batches,
     with_evaluation,
 )
-from ailsrs_jax.trainers.adversary import Adversary, AdversarySettings, AdversaryState
-from ailsrs_jax.trainers.expert import Expert, make_expert
-from ailsrs_jax.trainers.segments import Episodes, Steps
-from ailsrs_jax.trainers.settings import Positive, validate
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
+from ailsrs_jax.trainers.parts.settings import Positive, validate
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 CLONING_BATCH_SIZE = 128
 CLONING_LEARNING_RATE = 3e-4
@@ -58,7 +58,7 @@ class TrainState(struct.PyTreeNode):
     """What one iteration hands to the next."""
 
     actor_critic: ActorCritic
-    episodes: Episodes
+    episodes: RunningEnvs
     adversary: AdversaryState
     kept: KeptPolicy  # closest to the expert so far, by energy distance
     key: jax.Array
@@ -75,7 +75,7 @@ class Gail(Trainer):
 
     env: Env
     settings: GailSettings
-    expert: Expert
+    reference: Reference
 
     def init(self, key: jax.Array) -> TrainState:
         """A policy that does next to nothing but noise; or one cloned from the expert."""
@@ -83,10 +83,10 @@ class Gail(Trainer):
         key, network_key, reset_key, adversary_key, cloning_key = jax.random.split(key, 5)
         statistics = normalizer.init(self.env.observation_size)
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
-            statistics = self.expert.statistics
+            statistics = self.reference.statistics
         actor_critic = make_actor_critic(network_key, self.env, statistics, settings)
         if settings.behavior_cloning_start:
-            actor = clone(actor_critic.actor, self.expert, cloning_key, settings)
+            actor = clone(actor_critic.actor, self.reference, cloning_key, settings)
             actor_critic = actor_critic.replace(actor=actor)
         return TrainState(
             actor_critic=actor_critic,
@@ -104,7 +104,7 @@ class Gail(Trainer):
         key, evaluation_key, updates_key, distance_key = keys
         policy = gaussian_policy(self.env, state.actor_critic)
         evaluation, evaluated = evaluate(self.env, policy, evaluation_key, settings)
-        evaluated["expert_distance"] = self.expert.distance(
+        evaluated["expert_distance"] = self.reference.distance(
             distance_key, evaluation, settings.episode_length
         )
         (actor_critic, episodes, adversary), metrics = jax.lax.scan(
@@ -124,18 +124,18 @@ class Gail(Trainer):
 
     @property
     def _adversary(self) -> Adversary:
-        return Adversary(self.settings, self.expert)
+        return Adversary(self.settings, self.reference)
 
     def _take_turns(
-        self, carry: tuple[ActorCritic, Episodes, AdversaryState], key: jax.Array
-    ) -> tuple[tuple[ActorCritic, Episodes, AdversaryState], dict[str, jax.Array]]:
+        self, carry: tuple[ActorCritic, RunningEnvs, AdversaryState], key: jax.Array
+    ) -> tuple[tuple[ActorCritic, RunningEnvs, AdversaryState], dict[str, jax.Array]]:
         """Some steps of the policy, then the discriminator's on the last of their batches."""
         actor_critic, episodes, adversary = carry
         policy_key, adversary_key = jax.random.split(key)
 
         def improve_policy(
-            carry: tuple[ActorCritic, Episodes], key: jax.Array
-        ) -> tuple[tuple[ActorCritic, Episodes], tuple[dict[str, jax.Array], jax.Array]]:
+            carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
+        ) -> tuple[tuple[ActorCritic, RunningEnvs], tuple[dict[str, jax.Array], jax.Array]]:
             actor_critic, episodes, steps, metrics = collect_and_improve(
                 self.env, *carry, rewards, key, self.settings
             )
@@ -167,7 +167,7 @@ class Gail(Trainer):
 
 
 def clone(
-    actor: ActorParameters, expert: Expert, key: jax.Array, settings: GailSettings
+    actor: ActorParameters, expert: Reference, key: jax.Array, settings: GailSettings
 ) -> ActorParameters:
     """Behaviour cloning: make the expert's actions the likeliest.
 
@@ -180,7 +180,7 @@ def clone(
         episode, time = sample_steps(key, expert.lengths, CLONING_BATCH_SIZE)
         means = perceptron(*actor.layers, expert.observations[episode, time])
         actions = expert.actions[episode, time]
-        return -trpo.gaussian_log_density(actions, means, actor.log_std).mean()
+        return -trust_region.gaussian_log_density(actions, means, actor.log_std).mean()
 
     def adam_step(
         carry: tuple[ActorParameters, optax.OptState], key: jax.Array
@@ -203,7 +203,7 @@ def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) 
     """
     validate(settings)
     require_batches(settings, settings.policy_steps)
-    expert = make_expert(demonstrations, settings.episode_length, settings.num_distance_samples)
+    expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
     Adversary(settings, expert)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
         expert.require_actions("behavior_cloning_start")

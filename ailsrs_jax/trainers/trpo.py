@@ -9,8 +9,8 @@ from flax import struct
 from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.envs import Env
-from ailsrs_jax.trainers import segments
-from ailsrs_jax.trainers.actor_critic import (
+from ailsrs_jax.trainers.parts import segments
+from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
     TrustRegionSettings,
     collect_and_improve,
@@ -22,9 +22,9 @@ from ailsrs_jax.trainers.actor_critic import (
     require_batches,
     with_evaluation,
 )
-from ailsrs_jax.trainers.segments import Episodes
-from ailsrs_jax.trainers.settings import validate
-from ailsrs_jax.trainers.trainer import Trainer
+from ailsrs_jax.trainers.parts.segments import RunningEnvs
+from ailsrs_jax.trainers.parts.settings import validate
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class TrainState(struct.PyTreeNode):
     """What one iteration hands to the next."""
 
     actor_critic: ActorCritic
-    episodes: Episodes
+    episodes: RunningEnvs
     kept: KeptPolicy  # best by the return of its evaluation episodes
     key: jax.Array
     iteration: jax.Array  # () int32
@@ -70,8 +70,8 @@ class Trpo(Trainer):
         _, evaluated = evaluate(self.env, policy, evaluation_key, settings)
 
         def once(
-            carry: tuple[ActorCritic, Episodes], key: jax.Array
-        ) -> tuple[tuple[ActorCritic, Episodes], dict[str, jax.Array]]:
+            carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
+        ) -> tuple[tuple[ActorCritic, RunningEnvs], dict[str, jax.Array]]:
             actor_critic, episodes, steps, metrics = collect_and_improve(
                 self.env, *carry, lambda steps: steps.env_rewards, key, settings
             )

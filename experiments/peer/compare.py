@@ -43,7 +43,7 @@ import numpy as np
 
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.envs.registry import resolve_env_id, short_name
-from ailsrs_jax.runs.sweep_tables import hardware
+from ailsrs_jax.sweeps.tables import hardware
 
 HERE = Path(__file__).resolve().parent
 PEER_PYTHON = HERE.parents[1] / ".venv-peer/bin/python"

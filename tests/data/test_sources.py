@@ -9,7 +9,7 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.episodes import Recording
 from ailsrs_jax.data.sources import open_source, require_target, save_recording
 from ailsrs_jax.errors import UserError
-from tests.data.test_imitation_datasets import trajectory, write
+from tests.data.formats.test_imitation import trajectory, write
 
 
 def swimmer_recording() -> Recording:

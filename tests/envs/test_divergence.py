@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from ailsrs_jax.envs import State
 from ailsrs_jax.envs.divergence import LARGEST, has_diverged
-from ailsrs_jax.envs.half_cheetah import HalfCheetah
 from ailsrs_jax.envs.physics import make_physics
 from ailsrs_jax.envs.physics.quiet import without_warnings
+from ailsrs_jax.envs.tasks.half_cheetah import HalfCheetah
 from tests.exploding import STIFF_SLIDER
 
 numbers = st.one_of(st.floats(-1e3, 1e3, width=32), st.floats(width=32))

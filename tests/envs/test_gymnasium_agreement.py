@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.policies import expert_path, load_policy
-from ailsrs_jax.envs.mujoco_task import MujocoTask
 from ailsrs_jax.envs.physics import ENGINES, PhysicsState
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import TASKS, make_env
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 
 TOLERANCES = {"mujoco": 1e-5, "mjx": 2e-3}
 # Of the velocities after a step [m/s, rad/s]: median, and 99th percentile of the worst of a step.

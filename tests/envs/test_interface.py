@@ -18,7 +18,7 @@ from ailsrs_jax.envs import State
 from ailsrs_jax.envs.interface import action_range, env_name, env_sizes, require_env
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.rollout import rollout
+from ailsrs_jax.trainers.parts.rollout import simulate
 from tests.point_mass import PointMass
 
 
@@ -88,7 +88,7 @@ def test_taken(env: Any) -> None:
     # More episodes than slots: what was reset and what was stepped have to fit together.
     policy = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
     policies = policy.with_weights(jnp.ones((3, p, n)))
-    episodes = rollout(env, policies, jax.random.split(jax.random.key(1), 3), 4, batch_size=2)
+    episodes = simulate(env, policies, jax.random.split(jax.random.key(1), 3), 4, batch_size=2)
     assert episodes.lengths.tolist() == [4, 4, 4]
 
 

@@ -57,7 +57,7 @@ def minari_original() -> Path:
     """A dataset that Minari wrote itself, once for each process."""
     from ailsrs_jax.data.demonstrations import validated
     from ailsrs_jax.data.episodes import Recording
-    from ailsrs_jax.data.minari_datasets import save_minari
+    from ailsrs_jax.data.formats.minari import save_minari
 
     root = Path(os.environ["MINARI_DATASETS_PATH"])
     if not (root / "original-v0").exists():
@@ -113,7 +113,7 @@ def make_minari(path: Path, rng: Rng) -> None:
 
 
 def read_minari(path: Path) -> object:
-    from ailsrs_jax.data.minari_datasets import load_minari
+    from ailsrs_jax.data.formats.minari import load_minari
 
     root = Path(os.environ["MINARI_DATASETS_PATH"])
     path.rename(root / "damaged-v0")

@@ -14,8 +14,8 @@ from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutated_json
 
 
 def config() -> Any:
-    from ailsrs_jax.runs.config import RunConfig
-    from ailsrs_jax.runs.presets import preset_settings
+    from ailsrs_jax.runs.storage.config import RunConfig
+    from ailsrs_jax.trainers.presets import preset_settings
 
     return RunConfig(
         env_id="Swimmer-v5",
@@ -32,7 +32,7 @@ def config() -> Any:
 
 
 def read_config(path: Path) -> object:
-    from ailsrs_jax.runs import config as configs
+    from ailsrs_jax.runs.storage import config as configs
 
     return config().require_same(configs.read_config(path), path)
 
@@ -48,7 +48,7 @@ def make_metrics(path: Path, rng: Rng) -> None:
 
 
 def read_metrics(path: Path) -> object:
-    from ailsrs_jax.runs import metrics
+    from ailsrs_jax.runs.storage import metrics
 
     with contextlib.suppress(UserError):  # one of its readers is enough to refuse it
         metrics.MetricsFile(path, (0, 5), 3)
@@ -69,7 +69,7 @@ def make_run(path: Path, rng: Rng) -> None:
 def read_card(path: Path) -> object:
     from ailsrs_jax.data.policies import expert_path, load_policy
     from ailsrs_jax.runs.evaluation import Evaluation
-    from ailsrs_jax.runs.model_card import find_origin, model_card
+    from ailsrs_jax.show.model_card import find_origin, model_card
 
     policy = load_policy(expert_path("Swimmer-v5"))
     origin = find_origin(policy, path / "seed_5" / "policy.npz")
@@ -79,7 +79,7 @@ def read_card(path: Path) -> object:
 
 
 def read_saved_run(path: Path) -> object:
-    from ailsrs_jax.runs.saved_run import read_run
+    from ailsrs_jax.runs.storage.saved_run import read_run
 
     run = read_run(path)
     return run.kept_iterations, run.command(), run.changed_settings()
@@ -91,7 +91,7 @@ def checkpoint_state() -> Any:
 
 def make_checkpoints(path: Path, rng: Rng) -> None:
     """The newest of two is damaged, half of the time with hashes that match the damage."""
-    from ailsrs_jax.runs import checkpoint
+    from ailsrs_jax.runs.storage import checkpoint
 
     original = Path(os.environ["MINARI_DATASETS_PATH"]) / "checkpoints"
     if not original.exists():
@@ -115,7 +115,7 @@ def make_checkpoints(path: Path, rng: Rng) -> None:
 
 
 def read_checkpoints(path: Path) -> object:
-    from ailsrs_jax.runs.checkpoint import Checkpoints
+    from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 
     with Checkpoints(path, 1) as checkpoints:
         return checkpoints.restore(checkpoint_state()).num_done

@@ -10,7 +10,7 @@ from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutate_tree, mutat
 
 def make_results(path: Path, rng: Rng) -> None:
     """What a sweep has measured, one of its three tables damaged."""
-    from ailsrs_jax.runs.sweep_results import CellResult
+    from ailsrs_jax.sweeps.results import CellResult
 
     words = {"cell": "a", "status": "done", "env_id": "Hopper-v5", "settings": "noise_std=1"}
     names = [field.name for field in dataclasses.fields(CellResult)]
@@ -34,7 +34,7 @@ def make_results(path: Path, rng: Rng) -> None:
 
 
 def read_sweep_results(path: Path) -> object:
-    from ailsrs_jax.runs.sweep_results import read_results
+    from ailsrs_jax.sweeps.results import read_results
 
     return [cell.normalized_over_training for cell in read_results(path).cells]
 
@@ -81,14 +81,14 @@ def toml_value(value: Any) -> str:
 
 
 def read_sweep_spec(path: Path) -> object:
-    from ailsrs_jax.runs.sweep_spec import expand, read_spec
+    from ailsrs_jax.sweeps.spec import expand, read_spec
 
     return expand(read_spec(path))
 
 
 def make_sweep(path: Path, rng: Rng) -> None:
     """The directory of a shard: its grid, or the result of its cell, damaged."""
-    from ailsrs_jax.runs.sweep_cells import Cell
+    from ailsrs_jax.sweeps.cells import Cell
 
     texts = {"name": "a-seed0", "label": "A", "algorithm": "ars", "env_id": "Hopper-v5"}
     cell = {field.name: texts.get(field.name, 1) for field in dataclasses.fields(Cell)}
@@ -113,6 +113,6 @@ def make_sweep(path: Path, rng: Rng) -> None:
 
 
 def read_sweep(path: Path) -> object:
-    from ailsrs_jax.runs.sweep_merge import merge_sweeps
+    from ailsrs_jax.sweeps.merge import merge_sweeps
 
     return merge_sweeps(path / "merged", [path])

@@ -6,7 +6,7 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from tests.point_mass import PointMass, point_mass_demonstrations
-from tests.runs.toy_sweep import POINT_MASS
+from tests.sweeps.toy_sweep import POINT_MASS
 
 
 @pytest.fixture

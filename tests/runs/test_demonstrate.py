@@ -7,7 +7,7 @@ import pytest
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.demonstrate import record, simulate
+from ailsrs_jax.runs.demonstrate import record, roll_out
 from tests.point_mass import TIME_STEP, PointMass
 
 
@@ -50,7 +50,7 @@ def test_the_last_action_leads_to_the_final_observation(weights: list[float], fa
     policy, env = pushes(weights), PointMass()
     recording = record(policy, 4, env=env, episode_length=60)
     demonstrations = recording.demonstrations
-    plain = simulate(policy, env, 4, jax.random.key(0), 60)
+    plain = roll_out(policy, env, 4, jax.random.key(0), 60)
     np.testing.assert_array_equal(demonstrations.lengths, plain.lengths)
     assert (demonstrations.lengths < 60).all() == falls
     for ours, theirs in (
@@ -79,6 +79,6 @@ def test_the_c_engine_gives_the_same_episodes_bit_for_bit() -> None:
     policy = load_policy(expert_path("Swimmer-v5"))
     env = make_env("swimmer", "mujoco")
     demonstrations = record(policy, 2, env=env, episode_length=50).demonstrations
-    plain = simulate(policy, env, 2, jax.random.key(0), 50)
+    plain = roll_out(policy, env, 2, jax.random.key(0), 50)
     np.testing.assert_array_equal(demonstrations.observations, plain.observations)
     np.testing.assert_array_equal(demonstrations.actions, plain.actions)

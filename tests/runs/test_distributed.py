@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.demonstrations import save_demonstrations
-from ailsrs_jax.runs.metrics import read_rows
+from ailsrs_jax.runs.storage.metrics import read_rows
 from tests.point_mass import PointMass, point_mass_demonstrations
 
 ENV_ID = "tests.point_mass:PointMass"

@@ -13,10 +13,10 @@ from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
-from ailsrs_jax.runs.checkpoint import Checkpoints
-from ailsrs_jax.runs.config import read_config
-from ailsrs_jax.runs.directory import claimed
-from ailsrs_jax.runs.metrics import IterationReport
+from ailsrs_jax.runs.storage.checkpoint import Checkpoints
+from ailsrs_jax.runs.storage.config import read_config
+from ailsrs_jax.runs.storage.directory import claimed
+from ailsrs_jax.runs.storage.metrics import IterationReport
 
 ASSIGNMENTS = {
     "num_iterations": "12",

@@ -13,11 +13,11 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
 from ailsrs_jax.runs.stacking import execute_stack, stack_key
-from ailsrs_jax.trainers.devices import ONE_DEVICE
+from ailsrs_jax.trainers.parts.devices import ONE_DEVICE
 from tests.exploding import ExplodingPointMass
 from tests.point_mass import PointMass
-from tests.runs.test_algorithms import TINY
-from tests.runs.test_tracking import require_events
+from tests.runs.storage.test_tracking import require_events
+from tests.trainers.test_algorithms import TINY
 
 # More steps of either would make much of a little rounding.
 FEW_STEPS = {"conjugate_gradient_steps": 1, "behavior_cloning_steps": 5}

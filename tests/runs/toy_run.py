@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ailsrs_jax.cli.signals import StopSignals
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
-from ailsrs_jax.signals import StopSignals
 from tests.point_mass import PointMass
 
 SEARCH = {"num_directions": "4", "num_top_directions": "2", "episode_length": "20"}

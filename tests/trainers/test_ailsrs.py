@@ -16,8 +16,8 @@ from ailsrs_jax.trainers.ailsrs import (
     AilsrsSettings,
     make_ailsrs,
 )
-from ailsrs_jax.trainers.expert import distance_features
-from ailsrs_jax.trainers.rollout import Rollout
+from ailsrs_jax.trainers.parts.reference import distance_features
+from ailsrs_jax.trainers.parts.rollout import Episodes
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
 SMALL = AilsrsSettings(
@@ -127,14 +127,14 @@ def test_reward_of_a_rollout_in_closed_form(
     lengths = np.array([2, 49, 50, 51, 120])
     observations = np.random.default_rng(0).normal(size=(5, 120, 2)).astype(np.float32)
     actions = np.random.default_rng(1).normal(size=(5, 120, 1)).astype(np.float32)
-    episodes = Rollout(
+    episodes = Episodes(
         *map(jnp.asarray, (observations, actions, actions[..., 0], lengths)),
         diverged=jnp.zeros(5, bool),
         slot_steps=lengths.sum(),
     )
     returns = trainer._imitation_returns(adversary, episodes)
     logit = functools.partial(Discriminator().apply, adversary.parameters)
-    mean, std = trainer.expert.statistics.mean, trainer.expert.statistics.std
+    mean, std = trainer.reference.statistics.mean, trainer.reference.statistics.std
     for index, length in enumerate(lengths):
         states = (observations[index, :length] - mean) / std
         inputs = {

@@ -31,7 +31,7 @@ def trainer(point_mass: PointMass, point_mass_expert: Demonstrations) -> Behavio
 
 
 def test_adam_ends_at_the_exact_solution(trainer: BehaviorCloning) -> None:
-    expert = trainer.expert
+    expert = trainer.reference
     lengths = training_lengths(expert.lengths, SMALL.validation_fraction)
     training = jnp.arange(EPISODE_LENGTH) < lengths[:, None]
     exact = ridge_regression(expert.observations, expert.actions, training, penalty=0.0)

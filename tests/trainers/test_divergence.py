@@ -14,17 +14,17 @@ from jax.sharding import Mesh
 import ailsrs_jax as ail
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.trainers import segments
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings, make_ailsrs
 from ailsrs_jax.trainers.ars import Ars, ArsSettings
 from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings, make_behavior_cloning
-from ailsrs_jax.trainers.devices import AXIS, Devices
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
-from ailsrs_jax.trainers.rollout import Rollout, rollout
+from ailsrs_jax.trainers.parts import segments
+from ailsrs_jax.trainers.parts.devices import AXIS, Devices
+from ailsrs_jax.trainers.parts.rollout import Episodes, simulate
 from ailsrs_jax.trainers.trpo import TrpoSettings, make_trpo
 from tests.exploding import FINITE_STEPS, ExplodingPointMass, StiffSlider
 from tests.point_mass import EPISODE_LENGTH, PointMass, expert_policy
-from tests.trainers.test_segments import some_policy
+from tests.trainers.parts.test_segments import some_policy
 
 NUM_EPISODES = 100
 SEARCH: dict[str, Any] = {"num_iterations": 4, "num_directions": 50, "num_top_directions": 25}
@@ -54,8 +54,8 @@ def test_a_rollout_ends_before_it_diverges(
 ) -> None:
     keys = jax.random.split(jax.random.key(3), NUM_EPISODES)
 
-    def simulate(env: PointMass) -> Rollout:
-        return rollout(env, gentle_policies(), keys, EPISODE_LENGTH, batch_size)
+    def simulate(env: PointMass) -> Episodes:
+        return simulate(env, gentle_policies(), keys, EPISODE_LENGTH, batch_size)
 
     plain = jax.jit(lambda: simulate(point_mass))()
     exploding = jax.jit(lambda value: simulate(ExplodingPointMass(0.3, value, place)))
@@ -63,7 +63,7 @@ def test_a_rollout_ends_before_it_diverges(
         require_an_early_end(exploding(value), plain)
 
 
-def require_an_early_end(result: Rollout, plain: Rollout) -> None:
+def require_an_early_end(result: Episodes, plain: Episodes) -> None:
     unstable = np.asarray(plain.observations[:, 0, 0] < -0.4)
     assert 15 < unstable.sum() < 45
     np.testing.assert_array_equal(result.diverged, unstable)
@@ -89,7 +89,7 @@ def test_an_initial_state_that_is_not_finite_leaves_no_step() -> None:
             return super().reset(rng).replace(obs=jnp.array([0.0, -jnp.inf]))
 
     keys = jax.random.split(jax.random.key(0), NUM_EPISODES)
-    result = rollout(NeverFinite(), gentle_policies(), keys, 10)
+    result = simulate(NeverFinite(), gentle_policies(), keys, 10)
     assert result.diverged.all()
     assert not result.lengths.any()
     assert not result.observations.any()

@@ -1,0 +1,1 @@
+"""Training experts on the environment's reward."""

@@ -1,0 +1,124 @@
+"""One episode of a policy with the poses that it goes through, for looking at."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from ailsrs_jax.components.policy import Policy
+from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.interface import env_name, env_sizes
+from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH
+from ailsrs_jax.runs.evaluation import EVALUATION_STREAM
+from ailsrs_jax.runs.policies import jax_policy
+from ailsrs_jax.runs.storage.config import require_seed
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replay:
+    """An episode of at most ``EPISODE_LENGTH`` steps, T of them live."""
+
+    model: mujoco.MjModel
+    positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], the initial pose first
+    env_rewards: np.ndarray  # (T,)
+    dt: float  # [s] of an environment step
+    ended: bool  # in a terminal state, before the time was over
+
+    @property
+    def num_steps(self) -> int:
+        """T."""
+        return len(self.env_rewards)
+
+
+def replay(
+    policy: SavedPolicy,
+    *,
+    env: Env | None = None,
+    physics: str = "auto",
+    seed: int = 0,
+    seconds: float = np.inf,
+) -> Replay:
+    """Roll out one episode: the first of those that ``evaluate`` simulates on the same engine.
+
+    Args:
+        policy: the policy.
+        env: an environment that MuJoCo simulates; without it, the task that the policy names.
+        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
+        seed: of the initial state.
+        seconds: stop after so much simulated time.
+
+    Raises:
+        UserError: an unknown task, one that MuJoCo does not simulate, a policy that does not fit,
+            or an episode that diverges.
+    """
+    if not seconds > 0:
+        raise UserError(f"seconds is {seconds}: it must be positive")
+    require_seed(seed)
+    task = open_env(policy.env_id if env is None else env, physics)
+    model, _ = mujoco_view(task.env)
+    n, p = env_sizes(task.env)
+    policy.require_shape(p, n)
+    dt = float(task.env.dt)
+    num_steps = int(np.clip(np.ceil(seconds / dt - 1e-6), 1, EPISODE_LENGTH))
+    key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
+    episode = _compiled_episode(task.env, num_steps)(jax_policy(policy), jax.random.fold_in(key, 0))
+    first, (positions, env_rewards, done) = jax.tree.map(np.asarray, episode)
+    ends = np.flatnonzero(done)
+    length = int(ends[0]) + 1 if len(ends) else num_steps
+    if not (np.isfinite(positions[:length]).all() and np.isfinite(env_rewards[:length]).all()):
+        raise UserError("the episode diverged: the physics is unstable under this policy")
+    return Replay(
+        model=model,
+        positions=np.concatenate([first[None], positions[:length]]),
+        env_rewards=env_rewards[:length],
+        dt=dt,
+        ended=bool(len(ends)),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled_episode(env: Env, num_steps: int) -> Callable[[Policy, jax.Array], Any]:
+    """Initial positions; then positions, rewards and ends of ``num_steps`` steps.
+
+    What comes after the end of an episode is meaningless.
+    """
+    _, positions_of = mujoco_view(env)
+
+    def episode(policy: Policy, key: jax.Array) -> Any:
+        def step(state: State, _: None) -> tuple[State, Any]:
+            after = env.step(state, policy(state.obs))
+            return after, (positions_of(after), after.reward, after.done)
+
+        start = env.reset(key)
+        return positions_of(start), jax.lax.scan(step, start, length=num_steps)[1]
+
+    return jax.jit(episode)
+
+
+def mujoco_view(env: Env) -> tuple[mujoco.MjModel, Callable[[State], jax.Array]]:
+    """The model that ``env`` simulates, and the function from its state to ``qpos (nq,)``.
+
+    Raises:
+        UserError: it has none.
+    """
+    inner: Any = getattr(env, "unwrapped", env)
+    if isinstance(inner, MujocoTask):
+        return inner.physics.model, lambda state: state.pipeline_state.qpos
+    if isinstance(getattr(inner, "mj_model", None), mujoco.MjModel):  # MuJoCo Playground's
+        return inner.mj_model, lambda state: state.data.qpos
+    model = getattr(getattr(inner, "sys", None), "mj_model", None)
+    if isinstance(model, mujoco.MjModel):  # Brax's, whatever its backend
+        return model, lambda state: jnp.asarray(state.pipeline_state.q)
+    raise UserError(
+        f"{env_name(env)} cannot be rendered: it is not simulated by MuJoCo, so there is no model "
+        "to draw"
+    )

@@ -1,0 +1,305 @@
+"""A Gaussian policy and a value function, improved together from steps and their rewards."""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from ailsrs_jax.components import normalizer, trust_region
+from ailsrs_jax.components.finite import finite_or
+from ailsrs_jax.components.normalizer import RunningStatistics
+from ailsrs_jax.components.policy import MlpPolicy, perceptron, repeated
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.parts.rollout import Episodes, episode_counts, simulate
+from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, collect
+from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
+
+HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
+
+COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
+
+# Every so many samples tell the curvature: it needs far fewer than the gradient does.
+FISHER_STRIDE = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class TrustRegionSettings:
+    """Settings of :class:`ActorCritic`; the defaults are those of OpenAI Baselines' GAIL."""
+
+    num_iterations: int = 160
+    updates_per_iteration: int = 10  #: between two evaluations
+    num_envs: int = 8
+    batch_size: int = 1024  #: steps of all environments together, for one step of the policy
+    episode_length: int = 1000
+    discount: UpToOne = 0.995
+    advantage_decay: UpToOne = 0.97  #: λ
+    max_divergence: Positive = 0.01  #: in nats, of a step of the policy
+    conjugate_gradient_steps: int = 10
+    conjugate_gradient_damping: float = 0.1
+    num_backtracks: int = 10
+    value_learning_rate: Positive = 1e-3
+    value_epochs: int = 5
+    value_batch_size: int = 128
+    num_evaluation_episodes: int = 4
+
+
+def require_batches(settings: TrustRegionSettings, batches_per_update: int = 1) -> None:
+    """Raise UserError unless batches can be shared evenly by the environments, and be counted."""
+    require_countable(
+        settings.updates_per_iteration * batches_per_update * settings.batch_size
+        + 2 * settings.num_evaluation_episodes * settings.episode_length
+    )
+    if settings.batch_size % settings.num_envs:
+        raise UserError(
+            f"setting batch_size is {settings.batch_size}: it must be a multiple of num_envs, "
+            f"{settings.num_envs}"
+        )
+
+
+Layers = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]  # weights (out, in), biases (out,)
+
+
+class ActorParameters(struct.PyTreeNode):
+    """What a step of the policy changes."""
+
+    layers: Layers
+    log_std: jax.Array  # (p,)
+
+
+class ActorCritic(struct.PyTreeNode):
+    """Policy and value function."""
+
+    actor: ActorParameters
+    critic: Layers
+    critic_optimizer: optax.OptState
+    statistics: RunningStatistics  # what observations are standardised with
+
+
+def make_actor_critic(
+    key: jax.Array, env: Env, statistics: RunningStatistics, settings: TrustRegionSettings
+) -> ActorCritic:
+    """A policy whose mean is almost zero everywhere, with a standard deviation of one."""
+    actor_key, critic_key = jax.random.split(key)
+    critic = _layers(critic_key, env.observation_size, 1, final_scale=1.0)
+    return ActorCritic(
+        actor=ActorParameters(
+            layers=_layers(actor_key, env.observation_size, env.action_size, final_scale=0.01),
+            log_std=jnp.zeros(env.action_size),
+        ),
+        critic=critic,
+        critic_optimizer=_critic_adam(settings).init(critic),
+        statistics=statistics,
+    )
+
+
+def gaussian_policy(env: Env, state: ActorCritic) -> MlpPolicy:
+    """The policy, with statistics frozen as they are."""
+    weights, biases = state.actor.layers
+    low, high = action_range(env)
+    return MlpPolicy(
+        weights=weights,
+        biases=biases,
+        mean=state.statistics.mean,
+        std=state.statistics.std,
+        action_low=low,
+        action_high=high,
+        action_std=jnp.exp(state.actor.log_std),
+    )
+
+
+def evaluate(
+    env: Env, policy: MlpPolicy, key: jax.Array, settings: TrustRegionSettings
+) -> tuple[Episodes, dict[str, jax.Array]]:
+    """Some episodes of the Gaussian's mean, and the metrics of them and of as many drawn ones."""
+    num_episodes = settings.num_evaluation_episodes
+    noise_key, reset_key = jax.random.split(key)
+    shape = (num_episodes, settings.episode_length, env.action_size)
+    noise = policy.action_std * jax.random.normal(noise_key, shape)
+    episodes = simulate(
+        env,
+        repeated(policy, 2 * num_episodes),
+        jax.random.split(reset_key, 2 * num_episodes),
+        settings.episode_length,
+        noise=jnp.concatenate([jnp.zeros(shape), noise]),
+    )
+    mean, drawn = episodes.episodes(0, num_episodes), episodes.episodes(num_episodes)
+    return mean, {
+        "evaluation_return": mean.env_returns.mean(),
+        "evaluation_length": mean.lengths.mean(),
+        "stochastic_return": drawn.env_returns.mean(),
+        "action_std": policy.action_std.mean(),
+        **episode_counts(episodes),
+    }
+
+
+def collect_and_improve(
+    env: Env,
+    state: ActorCritic,
+    episodes: RunningEnvs,
+    rewards: Callable[[Steps], jax.Array],
+    key: jax.Array,
+    settings: TrustRegionSettings,
+) -> tuple[ActorCritic, RunningEnvs, Steps, dict[str, jax.Array]]:
+    """Make a batch of steps with the policy, and :func:`improve` it by its ``rewards``."""
+    collect_key, improve_key = jax.random.split(key)
+    episodes, steps = collect(
+        env,
+        gaussian_policy(env, state),
+        episodes,
+        collect_key,
+        settings.batch_size // settings.num_envs,
+        settings.episode_length,
+    )
+    state, metrics = improve(state, steps, rewards(steps), improve_key, settings)
+    return state, episodes, steps, metrics | steps.episode_counts()
+
+
+def merge_states(state: ActorCritic, steps: Steps) -> ActorCritic:
+    """Merge the states met into the statistics that the next steps are standardised with."""
+    return state.replace(
+        statistics=normalizer.update(state.statistics, steps.observations, ~steps.copied)
+    )
+
+
+def over_updates(metrics: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Metrics of several updates, stacked, as one: sums of what is counted, means of the rest."""
+    return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
+
+
+def with_evaluation(
+    metrics: dict[str, jax.Array], evaluated: dict[str, jax.Array]
+) -> dict[str, jax.Array]:
+    """The ``metrics`` of an iteration's updates beside those of its evaluation."""
+    return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
+
+
+def improve(
+    state: ActorCritic,
+    steps: Steps,
+    rewards: jax.Array,
+    key: jax.Array,
+    settings: TrustRegionSettings,
+) -> tuple[ActorCritic, dict[str, jax.Array]]:
+    """One step of the policy in its trust region, then fit the value function.
+
+    Args:
+        state: policy and value function that the ``steps`` were made with.
+        steps: ``(T, S)`` steps.
+        rewards: ``(T, S)``, the environment's or a discriminator's.
+        key: of the value function's minibatches.
+        settings: the settings.
+    """
+    mean, std = state.statistics.mean, state.statistics.std
+    observations = (steps.observations - mean) / std
+    values, next_values = (
+        _values(state.critic, x) for x in (observations, (steps.next_observations - mean) / std)
+    )
+    advantages = trust_region.generalized_advantages(
+        rewards,
+        values,
+        next_values,
+        steps.terminated,
+        steps.over,
+        discount=settings.discount,
+        decay=settings.advantage_decay,
+    )
+    targets = advantages + values
+    observations, actions, advantages, targets = jax.tree.map(
+        lambda x: x.reshape(-1, *x.shape[2:]),
+        (observations, steps.drawn_actions, advantages, targets),
+    )
+    actor, metrics = _improve_actor(state.actor, observations, actions, advantages, settings)
+    critic, optimizer, value_loss = _fit_critic(state, observations, targets, key, settings)
+    improved = ActorCritic(actor, critic, optimizer, state.statistics)
+    return improved, metrics | {"value_loss": value_loss}
+
+
+def _improve_actor(
+    actor: ActorParameters,
+    observations: jax.Array,
+    actions: jax.Array,
+    advantages: jax.Array,
+    settings: TrustRegionSettings,
+) -> tuple[ActorParameters, dict[str, jax.Array]]:
+    advantages = (advantages - advantages.mean()) / jnp.maximum(advantages.std(), 1e-8)
+    means = perceptron(*actor.layers, observations)
+    log_density = trust_region.gaussian_log_density(actions, means, actor.log_std)
+
+    def gain(candidate: ActorParameters) -> jax.Array:
+        candidate_means = perceptron(*candidate.layers, observations)
+        ratio = (
+            trust_region.gaussian_log_density(actions, candidate_means, candidate.log_std)
+            - log_density
+        )
+        return jnp.mean(jnp.exp(ratio) * advantages)
+
+    def divergence(candidate: ActorParameters, stride: int = 1) -> jax.Array:
+        candidate_means = perceptron(*candidate.layers, observations[::stride])
+        return trust_region.gaussian_divergence(
+            means[::stride], actor.log_std, candidate_means, candidate.log_std
+        ).mean()
+
+    return trust_region.trust_region_step(
+        actor,
+        gain,
+        divergence,
+        lambda candidate: divergence(candidate, FISHER_STRIDE),
+        max_divergence=settings.max_divergence,
+        iterations=settings.conjugate_gradient_steps,
+        damping=settings.conjugate_gradient_damping,
+        num_backtracks=settings.num_backtracks,
+    )
+
+
+def _fit_critic(
+    state: ActorCritic,
+    observations: jax.Array,
+    targets: jax.Array,
+    key: jax.Array,
+    settings: TrustRegionSettings,
+) -> tuple[Layers, optax.OptState, jax.Array]:
+    """Minibatches of Adam on the squared error; of each epoch what fills none is left out."""
+    size = min(settings.value_batch_size, len(targets))
+
+    def loss(critic: Layers, indices: jax.Array) -> jax.Array:
+        return jnp.mean(jnp.square(_values(critic, observations[indices]) - targets[indices]))
+
+    def adam_step(
+        carry: tuple[Layers, optax.OptState], indices: jax.Array
+    ) -> tuple[tuple[Layers, optax.OptState], jax.Array]:
+        critic, optimizer = carry
+        value, gradients = jax.value_and_grad(loss)(critic, indices)
+        updates, optimizer = _critic_adam(settings).update(gradients, optimizer, critic)
+        return (optax.apply_updates(critic, updates), optimizer), value
+
+    orders = jax.vmap(lambda key: jax.random.permutation(key, len(targets)))(
+        jax.random.split(key, settings.value_epochs)
+    )
+    batches = orders[:, : len(targets) // size * size].reshape(-1, size)
+    before = state.critic, state.critic_optimizer
+    after, losses = jax.lax.scan(adam_step, before, batches)
+    return *finite_or(after, before), losses.mean()
+
+
+def _values(critic: Layers, observations: jax.Array) -> jax.Array:
+    return perceptron(*critic, observations).squeeze(-1)
+
+
+def _critic_adam(settings: TrustRegionSettings) -> optax.GradientTransformation:
+    return optax.adam(settings.value_learning_rate)
+
+
+def _layers(key: jax.Array, num_inputs: int, num_outputs: int, final_scale: float) -> Layers:
+    sizes = (num_inputs, *HIDDEN_SIZES, num_outputs)
+    keys = jax.random.split(key, len(sizes) - 1)
+    scales = [1.0] * len(HIDDEN_SIZES) + [final_scale]
+    weights = tuple(
+        jax.nn.initializers.orthogonal(scale)(key, (outputs, inputs))
+        for key, scale, inputs, outputs in zip(keys, scales, sizes[:-1], sizes[1:], strict=True)
+    )
+    return weights, tuple(jnp.zeros(size) for size in sizes[1:])

@@ -1,0 +1,127 @@
+"""The expert as imitation learners use it: its steps, and the distance of others' to them."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ailsrs_jax.components import normalizer
+from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
+from ailsrs_jax.components.normalizer import RunningStatistics
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.parts.rollout import Episodes
+
+
+class Reference(struct.PyTreeNode):
+    """Demonstrations, prepared by :func:`make_reference`."""
+
+    observations: jax.Array  # (E, T, n) in units of the expert's standard deviation
+    actions: jax.Array  # (E, T, p), or (E, T, 0) where they are not known
+    lengths: jax.Array  # (E,) int32
+    statistics: RunningStatistics  # of the expert's observations
+    distance_features: jax.Array  # (m, n + p + 1), drawn once; without p where that is not known
+    distance_spread: jax.Array  # () mean distance among them
+    stride: int = struct.field(pytree_node=False)  # environment steps between its own
+
+    def require_actions(self, what_for: str) -> None:
+        """Raise UserError unless the expert's actions are known, which ``what_for`` needs."""
+        if self.actions.shape[-1] == 0:
+            raise UserError(f"the demonstrations hold no actions, which {what_for} needs")
+
+    @property
+    def alive(self) -> jax.Array:
+        """``(E, T)`` bool: the step happened."""
+        return jnp.arange(self.observations.shape[1]) < self.lengths[:, None]
+
+    def standardize(self, observations: jax.Array) -> jax.Array:
+        """Observations ``(..., n)`` in units of the expert's standard deviation.
+
+        The scale is fixed, so that a reward made of it does not drift while the policy's own
+        statistics move.
+        """
+        return standardize(self.statistics, observations)
+
+    def distance(
+        self,
+        key: jax.Array,
+        episodes: Episodes,
+        episode_length: int,
+    ) -> jax.Array:
+        """Energy distance of ``episodes`` of at most ``episode_length`` steps to the expert's.
+
+        Args:
+            key: of the draws.
+            episodes: the episodes; what the environment paid is not looked at. One that diverged
+                counts as one that ended at once.
+            episode_length: their time limit.
+        """
+        horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
+        num_samples = len(self.distance_features)
+        # Actions are compared where the expert's are known.
+        actions = episodes.actions[..., : self.actions.shape[-1]]
+        points = jnp.concatenate([self.standardize(episodes.observations), actions], axis=-1)
+        features = distance_features(key, points, episodes.usable_lengths, horizon, num_samples)
+        return energy_distance(features, self.distance_features, self.distance_spread)
+
+
+def make_reference(
+    demonstrations: Demonstrations, episode_length: int, num_distance_samples: int
+) -> Reference:
+    """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
+
+    Raises:
+        UserError: subsampling left none of so short an episode.
+    """
+    observations, lengths, alive = map(
+        jnp.asarray,
+        (demonstrations.observations, demonstrations.lengths, demonstrations.alive),
+    )
+    actions = demonstrations.actions
+    actions = jnp.zeros((*alive.shape, 0)) if actions is None else jnp.asarray(actions)
+    statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
+    observations = standardize(statistics, observations)
+    points = jnp.concatenate([observations, actions], axis=-1)
+    stride = demonstrations.stride
+    horizon = distance_horizon(points, stride, episode_length)
+    if horizon < 1:
+        raise UserError(
+            f"of the demonstrations only every {stride}th step is kept: episode_length must be at "
+            f"least that, not {episode_length}"
+        )
+    features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
+    spread = mean_distance(features, features)
+    return Reference(observations, actions, lengths, statistics, features, spread, stride)
+
+
+def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:
+    """Observations ``(..., n)`` in units of the standard deviation."""
+    return (observations - statistics.mean) / statistics.std
+
+
+def distance_horizon(expert_steps: jax.Array, stride: int, episode_length: int) -> int:
+    """How many of the expert's steps are compared, each with ``stride`` steps of the policy.
+
+    Subsampled from a random offset, a step is that of a moment drawn uniformly from ``stride``
+    steps; so, of whole blocks of them, as many moments of an episode are seen alive, and at the
+    same times, as of one that is not subsampled.
+    """
+    # Beyond the demonstrations' own time limit nobody knows what the expert would have done.
+    return min(episode_length // stride, expert_steps.shape[1])
+
+
+def distance_features(
+    key: jax.Array, points: jax.Array, lengths: jax.Array, horizon: int, num_samples: int
+) -> jax.Array:
+    """Draw ``(m, d + 1)`` for the energy distance from the ``points (E, T, d)`` of episodes.
+
+    Moments are drawn from the first ``horizon`` steps. After an episode's end the state is an
+    absorbing one, all zeros but for the last entry, which puts it as far from the others as they
+    are from one another; so episodes of another length than the expert's are seen to be different.
+    """
+    episode_key, time_key = jax.random.split(key)
+    episode = jax.random.randint(episode_key, (num_samples,), 0, lengths.shape[0])
+    time = jax.random.randint(time_key, (num_samples,), 0, horizon)
+    alive = (time < lengths[episode])[:, None]
+    drawn = jnp.where(alive, points[episode, time], 0.0)
+    absorbed = jnp.where(alive, 0.0, jnp.sqrt(points.shape[-1]))
+    return jnp.concatenate([drawn, absorbed], axis=-1)

@@ -1,0 +1,335 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ailsrs_jax.cli.main import main
+from ailsrs_jax.data.demonstrations import load_demonstrations
+from ailsrs_jax.data.policies import SavedLinearPolicy, expert_path, load_policy
+from ailsrs_jax.runs.evaluation import evaluate
+from ailsrs_jax.runs.storage.config import content_hash
+from ailsrs_jax.show.curves import plot_training_curve
+
+TINY = [
+    "num_directions=2",
+    "num_top_directions=1",
+    "episode_length=10",
+    "discriminator_batch_size=16",
+    "memory_samples=16",
+    "num_distance_samples=50",
+]
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+
+def ailsrs(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["ailsrs", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def broken_file(kind: str) -> Path:
+    path = Path(f"{kind}.npz")
+    arrays = {
+        "observations": np.zeros((2, 5, 11)),
+        "actions": np.zeros((2, 5, 3)),
+        "lengths": np.array([5, 5]),
+        "returns": np.zeros(2),
+        "env_id": np.array("Hopper-v5"),
+    }
+    if kind == "shapes":
+        arrays["actions"] = np.zeros((2, 5, 4))
+    elif kind == "nan":
+        arrays["observations"][1, 1, 1] = np.nan
+    elif kind == "pickled":
+        arrays["observations"] = np.array([[[object()]]])
+    elif kind == "other_task":
+        arrays["env_id"] = np.array("Walker2d-v5")
+    elif kind == "other_sizes":
+        arrays["observations"] = np.zeros((2, 5, 17))
+    elif kind == "ragged":
+        arrays["observations"] = np.array([[0.0], [0.0, 0.0]], dtype=object)
+    elif kind == "no_steps":
+        arrays |= {"observations": np.zeros((0, 5, 11)), "actions": np.zeros((0, 5, 3))}
+    elif kind == "out_of_range":
+        arrays["actions"][1, 1, 1] = 1.1
+    elif kind == "states_alone":
+        del arrays["actions"]
+    if kind == "text":
+        path.write_text("observations, actions\n")
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind != "missing":
+        np.savez(path, **arrays)
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *["missing", "text", "empty", "truncated", "shapes", "nan", "pickled", "ragged"],
+        *["no_steps", "other_task", "other_sizes", "out_of_range", "states_alone"],
+    ],
+)
+def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
+    path = broken_file(kind)
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, "train", "hopper", "--demonstrations", path, "--num-trajectories", 2)
+    one_line_and_nothing_written(code, capsys, before)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "train hoper",
+        "train nowhere:Slider",
+        "train tests.point_mass:PointMass",
+        "train tests.point_mass:PointMass --demonstrations file --physics mjx",
+        "expert tests.point_mass:nothing --output expert.npz",
+        "demonstrate tests.point_mass:PointMass --output demonstrations.npz",
+        "train hopper --preset tuned --set noise=1",
+        "train hopper --set noise_std",
+        "train hopper --iterations 0",
+        "train hopper --seeds 1 1",
+        "train hopper --seeds 3 --seeds 3",
+        "train hopper --seeds 2147483648",
+        "train hopper --physics bullet",
+        "train hopper --preset best",
+        f"train hopper --output {'x' * 300}",
+        "evaluate missing.npz --seed -1",
+        f"evaluate {'x' * 300}",
+        f"demonstrate hopper --num-trajectories 1 --output {'x' * 300}/d.npz",
+        "demonstrate hopper --seed -1 --output demonstrations.npz",
+        "expert hopper --seed -1 --output expert.npz",
+        "train hopper --num-trajectories 0",
+        "train swimmer --num-trajectories 1 --subsample 0",
+        "train swimmer --num-trajectories 1 --subsample 20 --set episode_length=10",
+        "train hopper --demonstrations minari:",
+        "train hopper --demonstrations empty",
+        f"train hopper --demonstrations {'x' * 300}",
+        "train hopper --rollout-batch-size 0",
+        "train hopper --set num_directions=3000000 --output run",
+        "train hopper --track mlflow --output run",
+        "train hopper --distributed",
+        "train hopper --distributed --output run",
+        "benchmark hoper",
+        "sweep missing.toml",
+        "sweep file",
+        "sweep missing.toml --launcher slurm",
+        "merge merged nowhere",
+        "benchmark hopper --physics bullet",
+        "benchmark hopper --repeats 0",
+        "train hopper --resume",
+        "train hopper --resume --output nowhere",
+        "train hopper --output /proc/run",
+        "train hopper --output file/inside",
+        "render missing.npz --output out.mp4",
+        "render . --output out.mp4",
+        "render file --output out.html",
+        "render missing.npz --output out.gif",
+        "render missing.npz --output file/out.mp4",
+        "render missing.npz --output out.html --size 15",
+        "report missing",
+        "report .",
+        "report file",
+        f"report {'x' * 300}",
+        "report . --episodes 0",
+        "evaluate missing.npz",
+        "evaluate .",
+        "evaluate file",
+        "export missing.npz --output policy.onnx",
+        "export file --output policy.onnx",
+        "export empty --output policy.onnx",
+        "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
+        "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
+        "demonstrate hoper --output demonstrations.npz",
+        "demonstrate hopper --output minari:hopper",
+        "demonstrate hopper --output file/demonstrations.npz",
+        "expert hoper --output expert.npz",
+        "expert hopper --output file/expert.npz",
+        "expert hopper --output expert.pt",
+        "expert hopper --set num_top_directions=1000 --output expert.npz",
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(arguments: str, monkeypatch, capsys) -> None:
+    Path("file").write_text("in the way")
+    Path("empty").mkdir()
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, *arguments.split())
+    one_line_and_nothing_written(code, capsys, before)
+
+
+def one_line_and_nothing_written(code: int, capsys, before: list[Path]) -> None:
+    errors = capsys.readouterr().err
+    assert code == 2, errors
+    assert errors.startswith("ailsrs: ")
+    assert len(errors.splitlines()) == 1
+    assert sorted(Path().iterdir()) == before
+
+
+def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
+    arguments = ["swimmer", "--iterations", 2, "--seeds", 0, 3, "--output", "run", "--set", *TINY]
+    assert ailsrs(monkeypatch, "train", *arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Swimmer-v5 · 10 demonstrations of the expert that ships with the package" in printed
+    assert "2/2" in printed
+    assert "expert" in printed.splitlines()[-2]
+    assert sorted(path.name for path in Path("run").iterdir()) == [
+        ".lock",
+        "checkpoints",
+        "config.json",
+        "metrics.csv",
+        "seed_0",
+        "seed_3",
+        "training_curve.png",
+    ]
+    assert Path("run/training_curve.png").read_bytes().startswith(b"\x89PNG")
+
+    # The real Gymnasium environment, driven by the exported policy in NumPy.
+    assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", 2, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["policies"]
+    assert [row["policy"] for row in rows] == ["run/seed_0/policy.npz", "run/seed_3/policy.npz"]
+    expected = evaluate(load_policy("run/seed_3/policy.npz"), 2, "gymnasium")
+    assert rows[1]["return_mean"] == expected.mean
+    assert rows[1]["physics"] == "gymnasium"
+
+    assert ailsrs(monkeypatch, "train", *arguments) == 2
+    assert "add --resume" in capsys.readouterr().err
+    assert ailsrs(monkeypatch, "train", *arguments, "--resume", "--json") == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert [seed["policy"] for seed in result["seeds"]] == [row["policy"] for row in rows]
+    assert result["algorithm"] == "ailsrs"
+    assert "policies, metrics and training curve are in run" in printed.err
+
+
+def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
+    settings = ["num_iterations=2", "num_directions=2", "num_top_directions=1"]
+    arguments = ["--algorithm", "ars", "--set", *settings, "episode_length=10"]
+    arguments += ["--output", "expert.npz", "--quiet", "--json"]
+    assert ailsrs(monkeypatch, "expert", "swimmer", *arguments) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["env_id"] == "Swimmer-v5"
+    assert not printed.err
+    assert load_policy("expert.npz").env_id == "Swimmer-v5"
+    arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "own.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    assert "2 trajectories of Swimmer-v5, return" in capsys.readouterr().out
+    demonstrations = load_demonstrations("own.npz")
+    assert demonstrations.observations.shape == (2, 1000, 8)
+    arguments = ["--expert", "expert.npz", "--num-trajectories", 2, "--output", "json.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments, "--json") == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert fields["return_mean"] == float(demonstrations.returns.mean())
+    arguments = ["--expert", "expert.npz", "--output", "other.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
+
+
+def test_through_minari_and_subsampled(monkeypatch, capsys) -> None:
+    pytest.importorskip("minari")
+    arguments = ["--num-trajectories", 2, "--output", "minari:swimmer/ours-v0"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    assert capsys.readouterr().out.endswith("in minari:swimmer/ours-v0\n")
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 2
+    assert "swimmer/ours-v0 exists" in capsys.readouterr().err
+
+    small = [assignment.replace("length=10", "length=40") for assignment in TINY]
+    arguments = ["--demonstrations", "minari:swimmer/ours-v0", "--subsample", 20]
+    arguments += ["--iterations", 1, "--output", "run", "--set", *small]
+    assert ailsrs(monkeypatch, "train", "swimmer", *arguments) == 0
+    assert "2 demonstrations minari:swimmer/ours-v0" in capsys.readouterr().out
+    config = json.loads(Path("run/config.json").read_text())
+    assert config["subsample"] == 20
+    assert ailsrs(monkeypatch, "train", "hopper", *arguments[:2]) == 2
+    assert "is of Swimmer-v5, not of Hopper-v5" in capsys.readouterr().err
+
+    # What a file of the same episodes holds is the same, and hashed as what is trained on.
+    arguments = ["--num-trajectories", 2, "--output", "ours.npz"]
+    assert ailsrs(monkeypatch, "demonstrate", "swimmer", *arguments) == 0
+    subsampled = load_demonstrations("ours.npz").subsample(20)
+    assert config["demonstrations_sha256"] == content_hash(subsampled)
+
+
+def test_the_cache_of_demonstrations_is_used_and_done_without(monkeypatch, tmp_path) -> None:
+    from ailsrs_jax.runs import demonstrate
+
+    first = demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco")
+    (cached,) = (tmp_path / "cache").rglob("*.npz")
+    written = cached.stat().st_mtime_ns
+    again = demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco")
+    np.testing.assert_array_equal(first.observations, again.observations)
+    assert cached.stat().st_mtime_ns == written
+    cached.write_bytes(b"damaged")
+    np.testing.assert_array_equal(
+        demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco").actions, first.actions
+    )
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/no")
+    np.testing.assert_array_equal(
+        demonstrate.expert_demonstrations("Swimmer-v5", 2, "mujoco").actions, first.actions
+    )
+
+
+def test_fewer_demonstrations_are_the_first_of_more() -> None:
+    from ailsrs_jax.runs.demonstrate import demonstrate
+
+    expert = load_policy(expert_path("Swimmer-v5"))
+    few, more = (demonstrate(expert, number, physics="mujoco") for number in (2, 5))
+    np.testing.assert_array_equal(few.observations, more.observations[:2])
+
+
+@pytest.mark.parametrize("physics", ["mujoco", "gymnasium"])
+def test_a_policy_must_fit_where_it_is_evaluated(physics: str, monkeypatch, capsys) -> None:
+    ones = np.ones(2)
+    SavedLinearPolicy(
+        weights=np.ones((2, 5)),
+        mean=np.zeros(5),
+        std=np.ones(5),
+        action_low=-ones,
+        action_high=ones,
+        env_id="Swimmer-v5",
+    ).save(Path("policy.npz"))
+    assert ailsrs(monkeypatch, "evaluate", "policy.npz", "--physics", physics) == 2
+    assert (
+        "takes 5 observations and gives 2 actions: the environment has 8 and 2"
+        in capsys.readouterr().err
+    )
+
+
+def test_our_task_and_gymnasium_agree_on_an_expert() -> None:
+    expert = load_policy(expert_path("Swimmer-v5"))
+    ours, theirs = (evaluate(expert, 20, physics) for physics in ("mujoco", "gymnasium"))
+    assert ours.mean == pytest.approx(theirs.mean, abs=3.0)
+
+
+def test_help_starts_no_backend_and_is_quick_to_import() -> None:
+    program = (
+        "import sys, ailsrs_jax, ailsrs_jax.cli.main; "
+        "assert not {'jax', 'mujoco', 'brax'} & set(sys.modules), sorted(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+    help_text = subprocess.run(
+        [sys.executable, "-m", "ailsrs_jax", "train", "--help"],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"COLUMNS": "100"},
+    ).stdout
+    assert "ailsrs train hopper --num-trajectories 10" in help_text
+
+
+def test_a_curve_needs_metrics(tmp_path: Path) -> None:
+    from ailsrs_jax.errors import UserError
+    from ailsrs_jax.runs.run import Result
+
+    with pytest.raises(UserError, match="no such file"):
+        plot_training_curve(tmp_path, "title", Result(None, {}, {0: 0}, None))

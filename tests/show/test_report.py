@@ -1,0 +1,307 @@
+"""What ``ailsrs report`` writes: one page that loads nothing, whatever the files say."""
+
+import base64
+import builtins
+import dataclasses
+import json
+import shutil
+import subprocess
+from fractions import Fraction
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.runs.storage.config import RunConfig
+from ailsrs_jax.runs.storage.saved_run import read_run
+from ailsrs_jax.show import renderer as offscreen
+from ailsrs_jax.show.page import Media, Page, Tile
+from ailsrs_jax.show.sweep_report import Table
+from ailsrs_jax.show.video import data_uri, encode
+from ailsrs_jax.trainers.presets import preset_settings
+from tests.cli.test_cli import ailsrs
+from tests.point_mass import EXPERT_WEIGHTS
+from tests.sweeps.synthetic_sweep import row, write_sweep
+
+HOSTILE = "</title><script>alert(1)</script><img src=https://x.invalid/a onerror='alert(2)'>"
+POINT_MASS = "tests.point_mass:PointMass"
+METRICS = """\
+iteration,seed,env_steps,evaluation_return,expert_distance,policy_score,expert_score
+0,0,1000000,-30,0.5,0.2,0.8
+0,3,1000000,-40,0.9,0.3,0.7
+1,0,2000000,-10,0.25,0.4,0.6
+1,3,2000000,-20,nan,0.45,0.55
+2,0,3000000,-12,0.3,0.5,0.5
+2,3,3000000,-15,0.7,0.5,0.5
+"""
+
+
+def write_run(directory: Path, **changes: Any) -> Path:
+    """A run of a toy task with two seeds, one of which has a policy."""
+    settings = dataclasses.replace(preset_settings(POINT_MASS, "tuned"), noise_std=0.05)
+    config = RunConfig(
+        env_id=POINT_MASS,
+        physics="none",
+        seeds=(0, 3),
+        algorithm="ailsrs",
+        preset="tuned",
+        settings=settings,
+        num_trajectories=8,
+        demonstrations="mine.npz",
+        demonstrations_sha256="0" * 64,
+        subsample=1,
+    )
+    fields = config.as_json() | changes
+    directory.mkdir(parents=True)
+    (directory / "config.json").write_text(json.dumps(fields))
+    (directory / "metrics.csv").write_text(METRICS)
+    ones = np.ones(1)
+    ail.SavedLinearPolicy(
+        weights=EXPERT_WEIGHTS,
+        mean=np.zeros(2),
+        std=np.ones(2),
+        action_low=-ones,
+        action_high=ones,
+        env_id=POINT_MASS,
+    ).save(directory / "seed_0" / "policy.npz")
+    return directory
+
+
+class Reader(HTMLParser):
+    """The tags of a page, with their attributes, and its text."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(page.read_text())
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def require_harmless(page: Reader) -> None:
+    """Nothing is run, and nothing loaded that is not in the page."""
+    assert not {"script", "iframe", "object", "embed", "base", "form"} & {t for t, _ in page.tags}
+    for tag, attributes in page.tags:
+        assert not [name for name in attributes if name.startswith("on")], tag
+        for name in ("src", "href", "srcset", "poster", "data"):
+            assert (attributes.get(name) or "data:").startswith("data:"), attributes
+    policy = next(a["content"] for t, a in page.tags if a.get("http-equiv"))
+    assert policy is not None
+    assert policy.startswith("default-src 'none'")
+
+
+def test_a_run(tmp_path: Path) -> None:
+    path = ail.report(write_run(tmp_path / "run"), episodes=2)
+    assert path == tmp_path / "run" / "report.html"
+    page = Reader(path)
+    require_harmless(page)
+    evaluation = ail.evaluate(ail.load_policy(tmp_path / "run/seed_0/policy.npz"), 2, "auto")
+    for expected in (
+        f"AILSRS on {POINT_MASS}",
+        "8 demonstrations mine.npz · preset tuned · physics none",
+        f"return {evaluation.mean:.0f} of one seed",
+        "environment steps 3.00 M",
+        "iterations 3 of 100",
+        # The smallest distance; of seed 3 the second is NaN, so it is the third.
+        f"0 {evaluation} 1000 1 0.250 0.400 0.600 -12",
+        "3 – – 2 0.700 0.500 0.500 -15",
+        f"ailsrs train {POINT_MASS} --demonstrations mine.npz --num-trajectories 8 --seeds 0 3 "
+        "--set noise_std=0.05",
+        "it is not simulated by MuJoCo, so there is no model to draw",
+        "numpy " + np.__version__,
+    ):
+        assert expected in page.text
+    changed = [a for t, a in page.tags if t == "div" and a.get("class") == "changed"]
+    assert len(changed) == 1
+    (curves,) = [a["src"] for t, a in page.tags if t == "img"]
+    assert curves is not None
+    assert b"<svg" in base64.b64decode(curves.removeprefix("data:image/svg+xml;base64,"))
+
+
+def test_names_from_files_are_only_text(tmp_path: Path) -> None:
+    versions = {HOSTILE: HOSTILE}
+    changes = {"demonstrations": HOSTILE, "preset": HOSTILE, "versions": versions}
+    run = write_run(tmp_path / "run", **changes, settings={HOSTILE: HOSTILE})
+    page = Reader(ail.report(run, tmp_path / "page.html", episodes=1, video=False))
+    require_harmless(page)
+    assert page.text.count(HOSTILE) >= 6
+
+
+def test_a_sweep(tmp_path: Path) -> None:
+    rows = [
+        row(0.9 + 0.02 * seed, label=label, env_id=env_id, seed=seed)
+        for label in ("AILSRS", f"{HOSTILE} $\\frac$")
+        for env_id in ("Hopper-v5", "Swimmer-v5")
+        for seed in (0, 1)
+    ]
+    rows[0] |= {"cell": "../../outside", "status": f"failed: {HOSTILE}"}
+    write_sweep(tmp_path / "sweep", rows)
+    page = Reader(ail.report(tmp_path / "sweep"))
+    require_harmless(page)
+    for expected in (
+        "sweep sweep AILSRS ·",
+        "runs finished 7 of 8 tasks 2",
+        f"../../outside failed: {HOSTILE}",
+        "Interquartile means over 2 conditions",
+        "No runs are beside these tables",
+    ):
+        assert expected in page.text
+    images = [a["src"] or "" for t, a in page.tags if t == "img"]
+    assert len(images) == 4  # figure 3 of both, scores, profiles
+    for image in images:
+        assert base64.b64decode(image.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+
+
+def test_a_sweep_shows_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is no renderer it says so in the video's place, and how to get one."""
+    monkeypatch.setenv("MUJOCO_GL", "disabled")
+    offscreen.require_renderer.cache_clear()
+    rows = [row(0.9, env_id="Hopper-v5", cell="here"), row(0.9, env_id="Swimmer-v5")]
+    write_sweep(tmp_path, [each | {"random_return": 0.0} for each in rows])
+    write_run(tmp_path / "cells" / "here")
+    page = Reader(ail.report(tmp_path))
+    pytest.importorskip("av")
+    assert "no video: MUJOCO_GL=disabled fails here; on Debian or Ubuntu: apt-get" in page.text
+    assert f"ailsrs train {POINT_MASS}" in page.text
+    assert "Discriminator's scores Between" in page.text
+
+
+def test_a_command_makes_the_same_run_again(tmp_path: Path) -> None:
+    shipped = {
+        "env_id": "Hopper-v5",
+        "demonstrations": "of the expert that ships with the package",
+        "num_trajectories": 10,
+        "preset": "paper",
+        "physics": "mujoco",
+        "settings": dataclasses.asdict(preset_settings("Hopper-v5", "paper")),
+    }
+    run = read_run(write_run(tmp_path / "shipped", **shipped))
+    assert run.command() == "ailsrs train hopper --seeds 0 3 --preset paper --physics mujoco"
+    cut = {"demonstrations": "my data (3 cut off, left out)", "subsample": 20}
+    command = read_run(write_run(tmp_path / "cut", **cut)).command() or ""
+    assert "--demonstrations 'my data' --num-trajectories 8 --subsample 20" in command
+    for name, changes in {
+        "memory": {"demonstrations": "handed in"},
+        "object": {"env_id": "PointMass"},
+    }.items():
+        assert read_run(write_run(tmp_path / name, **changes)).command() is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"seeds": []}, "seeds are"),
+        ({"seeds": [0, True]}, "seeds are"),
+        ({"seeds": [0, 4]}, "is not of the run with the seeds"),
+        ({"seeds": [0, -3]}, "seed is -3"),
+        ({"algorithm": "none"}, "unknown algorithm 'none'"),
+        ({"algorithm": "bc"}, "has no column validation_loss"),
+        ({"settings": None}, "settings is None"),
+        ({"settings": {"a": [1]}}, "'a' is [1], not a value"),
+        ({"env_id": "a\nb"}, "env_id is not the name"),
+    ],
+)
+def test_a_damaged_run_is_one_line(changes: dict[str, Any], problem: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", **changes)
+    with pytest.raises(ail.UserError) as caught:
+        ail.report(run)
+    assert problem in str(caught.value)
+    assert not (run / "report.html").exists()
+
+
+def test_mistakes(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run")
+    with pytest.raises(ail.UserError, match="is neither a run nor a sweep"):
+        ail.report(tmp_path)
+    with pytest.raises(ail.UserError, match="cannot write"):
+        ail.report(run, run / "config.json" / "page.html")
+    (tmp_path / "sweep.json").write_text("{}")
+    with pytest.raises(ail.UserError, match="no run of this sweep is finished yet"):
+        ail.report(tmp_path)
+    (run / "seed_3").mkdir()
+    policy = ail.load_policy(run / "seed_0" / "policy.npz")
+    dataclasses.replace(policy, env_id="Hopper-v5").save(run / "seed_3" / "policy.npz")
+    with pytest.raises(ail.UserError, match="is of Hopper-v5, not of the run's task"):
+        ail.report(run)
+
+
+def test_without_matplotlib_one_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ordinary_import = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name == "ailsrs_jax" and "html_report" in (arguments[2] or ()):
+            raise ImportError
+        return ordinary_import(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert ailsrs(monkeypatch, "report", tmp_path) == 2
+    assert "a report needs pip install 'ailsrs_jax[plot]'" in capsys.readouterr().err
+
+
+# -------------------------------------------------------------------------------- in a real browser
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
+SILENT = "--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --no-first-run"
+ALONE = "--disable-background-networking --disable-component-update --disable-sync"
+
+
+def open_in_browser(page: Path, log: Path) -> tuple[str, list[str], list[str]]:
+    """The document after loading, what the console says, and the addresses that are asked for."""
+    assert BROWSER is not None
+    options = [*SILENT.split(), *ALONE.split(), f"--user-data-dir={log.parent / 'profile'}"]
+    options += [f"--log-net-log={log}", "--enable-logging=stderr", "--dump-dom", page.as_uri()]
+    ran = subprocess.run([BROWSER, *options], capture_output=True, text=True, timeout=240)
+    assert ran.returncode == 0, ran.stderr
+    console = [line for line in ran.stderr.splitlines() if "CONSOLE" in line]
+    events = [event.get("params", {}) for event in json.loads(log.read_text())["events"]]
+    # The browser itself asks for this and that, without an origin.
+    asked = {
+        event["url"]
+        for event in events
+        if event.get("initiator", "not an origin") != "not an origin"
+        and not event["url"].startswith("data:")
+    }
+    return ran.stdout, console, sorted(asked)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium: apt-get install chromium")
+def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    film = encode(np.zeros((3, 16, 16, 3), np.uint8), Fraction(10))
+    video = Media("video", data_uri("video/mp4", film), HOSTILE)
+    page = Page(
+        kind="run",
+        title=HOSTILE,
+        subtitle=HOSTILE,
+        tiles=[Tile(HOSTILE, HOSTILE)],
+        videos=[video],
+        figures=[],
+        tables=[Table(HOSTILE, [HOSTILE], [[HOSTILE]])],
+        note=HOSTILE,
+        commands=[HOSTILE, HOSTILE],
+        settings=[(HOSTILE, HOSTILE, True)],
+        versions=[(HOSTILE, HOSTILE)],
+    )
+    (tmp_path / "page.html").write_text(page.html())
+    document, console, asked = open_in_browser(tmp_path / "page.html", tmp_path / "log.json")
+    assert "</html>" in document
+    assert "<script" not in document
+    assert (console, asked) == ([], [])
+
+    # And it would have been heard.
+    bad = "<script>console.error('heard')</script><img src='http://127.0.0.1:9/picture'>"
+    (tmp_path / "bad.html").write_text(bad)
+    _, console, asked = open_in_browser(tmp_path / "bad.html", tmp_path / "bad.json")
+    assert any("heard" in line for line in console)
+    assert "http://127.0.0.1:9/picture" in asked

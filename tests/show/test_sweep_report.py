@@ -1,0 +1,141 @@
+import builtins
+import hashlib
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+from matplotlib.figure import Figure
+
+from ailsrs_jax.show.figures import _draw_levels
+from ailsrs_jax.show.sweep_report import report_sweep
+from ailsrs_jax.sweeps.statistics import group_cells
+from tests.sweeps.synthetic_sweep import cells, row, write_sweep
+
+
+def small_sweep(directory: Path) -> Path:
+    """An incomplete grid: five tasks, two algorithms, a failed cell, one that has no curve."""
+    rows = [
+        row(score + 0.02 * seed, label=label, env_id=env_id, num_trajectories=number, seed=seed)
+        for label, score in (("BC", 0.5), ("AILSRS", 0.95))
+        for env_id in ("Hopper-v5", "Swimmer-v5", "HalfCheetah-v5", "Walker2d-v5", "Humanoid-v5")
+        for number in (10, 40)
+        for seed in (0, 1)
+    ]
+    rows[0].update(status="failed: it | diverged", return_mean="", normalized="")
+    del rows[3]
+    write_sweep(directory, rows)
+    curves = directory / "curves.csv"
+    lines = curves.read_text().splitlines(keepends=True)
+    curves.write_text("".join(line for line in lines if not line.startswith(rows[-1]["cell"])))
+    return directory
+
+
+def test_a_sweep_leaves_tables_and_figures(tmp_path: Path) -> None:
+    report_sweep(small_sweep(tmp_path))
+    table = (tmp_path / "table.md").read_text()
+    assert "Interquartile means over 10 conditions" in table
+    assert "| AILSRS | 20 of 20 | 0.96 [0.95, 0.97] | 0.58 [0.57, 0.58] |" in table
+    assert "| BC | 18 of 19 | 0.51 | 0.31 |" in table  # a condition with one seed: no interval
+    means = "3111 ± 46 | 3240 | 0.96 ± 0.01 | 3111 ± 46 | 0.58 ± 0.01"
+    assert f"| AILSRS | 10 | 2 of 2 | {means} | 0.50 M (2 of 2) |" in table
+    assert "| BC | 10 | 1 of 2 | 1693 | 3240 | 0.52 | 1693 | 0.31 | – (0 of 1) |" in table
+    assert "| bc-Hopper-v5-10-0 | failed: it \\| diverged |" in table
+    timings = (tmp_path / "timings.md").read_text()
+    assert "| AILSRS | Hopper-v5 | 10 | 25 s (2 of 2) | 60 s | 5 s | 2 CPU cores |" in timings
+
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    stems = ("figure_2", "figure_3_ailsrs", "figure_3_bc", "profiles", "scores")
+    assert names == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    for stem in stems:
+        image = matplotlib.image.imread(tmp_path / "figures" / f"{stem}.png")
+        # Nothing is cut off: the outermost pixels are white, and the page is not empty.
+        frame = [image[0], image[-1], image[:, 0], image[:, -1]]
+        assert all((edge[..., :3] == 1).all() for edge in frame), stem
+        assert (image[..., :3] != 1).any(), stem
+
+
+def test_figures_are_the_same_bytes_again(tmp_path: Path) -> None:
+    rows = [row(0.9, seed=seed) for seed in (0, 1)]
+    digests = []
+    for name in ("a", "b"):
+        report_sweep(write_sweep(tmp_path / name, rows))
+        files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
+        assert len(files) == 5 + 2 * 3
+        digests.append([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
+    assert digests[0] == digests[1]
+
+
+def test_nothing_done_is_only_a_table(tmp_path: Path) -> None:
+    report_sweep(write_sweep(tmp_path, [row(0, status="failed: no memory", return_mean="")]))
+    assert "failed: no memory" in (tmp_path / "table.md").read_text()
+    assert not (tmp_path / "figures").exists()
+
+
+def test_returns_without_an_expert_are_still_reported(tmp_path: Path) -> None:
+    rows = [row(0.5, num_trajectories="", expert_return="", normalized="", steps_to_90="")]
+    report_sweep(write_sweep(tmp_path, rows))
+    table = (tmp_path / "table.md").read_text()
+    assert "| AILSRS | – | 1 of 1 | 1629 | – | – | 1629 | – | – (0 of 1) |" in table
+    assert "Interquartile" not in table
+    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert drawn == {"figure_3_ailsrs"}
+
+
+def test_a_series_without_an_expert_does_not_decide_what_is_compared(tmp_path: Path) -> None:
+    rows = [row(0.5), row(0.7, label="BC")]
+    rows.append(row(0.5, label="ARS", env_id="Swimmer-v5", num_trajectories="", normalized=""))
+    report_sweep(write_sweep(tmp_path, rows))
+    assert "Interquartile means over 1 condition\n" in (tmp_path / "table.md").read_text()
+
+
+def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> None:
+    # Their mean is by a rounding above the interval's end, as of one such sweep in fifty.
+    scores = {10: 0.424, 20: 0.572, 30: 0.65, 40: 0.821}
+    rows = [
+        row(score, num_trajectories=number, seed=seed)
+        for number, score in scores.items()
+        for seed in range(3)
+    ]
+    report_sweep(write_sweep(tmp_path, rows))
+    assert (tmp_path / "figures" / "scores.png").exists()
+
+
+def test_each_source_of_demonstrations_has_an_expert() -> None:
+    table = [
+        row(
+            0.9,
+            cell=f"{source} {number}",
+            num_trajectories=number,
+            demonstrations=source,
+            expert_return=expert,
+        )
+        for source, expert in (("", 3240), ("expert:paper", 1021))
+        for number in (10, 40)
+    ]
+    axes = Figure().subplots()
+    _draw_levels(axes, group_cells(cells(*table)))
+    drawn = [line.get_ydata().tolist() for line in axes.lines if line.get_label() == "expert"]
+    assert drawn == [[3240, 3240], [1021, 1021]]
+
+
+def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> None:
+    report_sweep(write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")]))
+    drawn = {path.stem for path in (tmp_path / "figures").glob("figure_3*")}
+    assert drawn == {"figure_3_x_1", "figure_3_x_1_2"}
+
+
+def test_without_matplotlib_there_are_tables_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ordinary_import = builtins.__import__
+
+    def without(name: str, *arguments: object, **options: object) -> object:
+        if name == "ailsrs_jax.show.figures":
+            raise ImportError
+        return ordinary_import(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    report_sweep(write_sweep(tmp_path, [row(0.9)]))
+    assert capsys.readouterr().err == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
+    assert (tmp_path / "table.md").exists()
+    assert not (tmp_path / "figures").exists()

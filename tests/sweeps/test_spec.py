@@ -1,0 +1,189 @@
+"""Sweeps before they run: what a file asks for, and what it may not."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.sweeps.cells import load_sweep
+from ailsrs_jax.sweeps.results import DONE
+from ailsrs_jax.sweeps.spec import expand, read_spec
+from ailsrs_jax.sweeps.tables import load_result, save_result
+from tests.sweeps.toy_sweep import grid, quick_grid
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+
+
+def test_every_list_is_an_axis(demonstrations: str) -> None:
+    spec = grid(demonstrations, num_trajectories=[1, 8], seeds=[3, 0], label="ours")
+    spec["grid"].append(
+        {"algorithm": "bc", "settings": {"solver": ["adam", "ridge"], "num_iterations": 1}}
+    )
+    spec["settings"] = {"num_distance_samples": 50}
+    cells = expand(spec).cells
+    assert [(cell.label, cell.num_trajectories, cell.seed) for cell in cells[:4]] == [
+        ("ours", 1, 3),
+        ("ours", 1, 0),
+        ("ours", 8, 3),
+        ("ours", 8, 0),
+    ]
+    assert cells[0].settings == {"num_distance_samples": "50"}
+    assert [(cell.label, cell.settings) for cell in cells[4:]] == [
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1"}),
+        ("BC", {"num_distance_samples": "50", "num_iterations": "1", "solver": "ridge"}),
+    ]
+    assert len({cell.name for cell in cells}) == 6
+
+
+def test_a_cell_is_called_the_same_whatever_is_beside_it(demonstrations: str) -> None:
+    alone = expand(grid(demonstrations)).cells[0]
+    assert expand(grid(demonstrations, label="ours", seeds=[1, 0])).cells[1].name == alone.name
+    assert "/" not in alone.name
+    assert ":" not in alone.name
+    assert len(alone.name) < 130
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "the sweep: there is no key 'seed' (did you mean seeds?): use one of algorithm": {"seed": 1},
+    "episodes is 0: it must be": {"episodes": 0},
+    "no [[grid]] entry": {"grid": []},
+    "grid entry 2: there is no key 'algorithms'": {"grid": [{}, {"algorithms": "bc"}]},
+    "grid entry 1: seeds is '1': it must be a whole number": {"grid": [{"seeds": ["1"]}]},
+    "grid entry 1: seeds is True": {"grid": [{"seeds": True}]},
+    "grid entry 1: seeds holds the same value twice": {"grid": [{"seeds": [1, 1]}]},
+    "grid entry 1: env is an empty list": {"grid": [{"env": []}]},
+    "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
+    "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
+    "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
+    "label is '': it must be of 1 to 80 printable characters": {"grid": [{"label": ""}]},
+    "label is 'a\\u2028b': it must be of 1 to 80": {"grid": [{"label": "a\u2028b"}]},
+    "xxx': it must be of 1 to 80 printable characters": {"grid": [{"label": "x" * 81}]},
+    "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
+        "grid": [{}, {"label": "x", "env": "hoper"}]
+    },
+    "grid entry 1 (sac, ": {"grid": [{"algorithm": ["ailsrs", "sac"]}]},
+    "there is no setting 'nose_std'": {"grid": [{"settings": {"nose_std": 1}}]},
+    "noise_std is -1.0: it must be positive": {"grid": [{"settings": {"noise_std": [1, -1]}}]},
+    "seed is -1: it must be from 0": {"grid": [{"seeds": [0, -1]}]},
+    "hold 8": {"grid": [{"num_trajectories": 9}]},
+    "is already in grid entry 1 (a)": {"grid": [{"label": "a"}, {"preset": "tuned"}]},
+    # What only the trainer knows.
+    "batch_size is 7: it must be a multiple": {
+        "settings": {},
+        "grid": [{"algorithm": "gail", "settings": {"batch_size": 7}}],
+    },
+    "ars learns from the environment's reward": {
+        "settings": {},
+        "grid": [{"algorithm": ["ailsrs", "ars"]}],
+    },
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_mistake_anywhere_is_found_before_anything_runs(
+    message: str, demonstrations: str
+) -> None:
+    spec = grid(demonstrations) | WRONG[message]
+    with pytest.raises(ail.UserError) as caught:
+        ail.sweep(spec, "sweep")
+    assert message in str(caught.value)
+    assert not Path("sweep").exists()
+
+
+def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
+    Path("broken.toml").write_text("[[grid")
+    Path("deep.toml").write_text("a = " + "[" * 10**5)
+    Path("long.toml").write_text(" " * 2**21)
+    Path("hostile.toml").write_text('[[grid]]\nenv = ["hopper", "os:abort"]')
+    seeds = list(range(5001))
+    Path("endless.toml").write_text(f'[[grid]]\nenv = ["hopper", "swimmer"]\nseeds = {seeds}')
+    for path, message in {
+        "missing.toml": "no such file",
+        "broken.toml": "is not TOML",
+        ".": "is not a file",
+        "deep.toml": "is not TOML",
+        "long.toml": "too long",
+        "hostile.toml": "it could do anything, so it is not looked up",
+        "endless.toml": "more than 10,000 cells",
+    }.items():
+        with pytest.raises(ail.UserError, match=message):
+            ail.sweep(path, "sweep")
+    Path("sweep").mkdir()
+    Path("sweep/sweep.json").write_text("{}")
+    with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
+        load_sweep(Path("sweep/sweep.json"))
+
+
+def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
+    sweep = expand(quick_grid())
+    for name in ("../outside", "/tmp/outside", "..", "", "a/b"):
+        hostile = dataclasses.replace(sweep.cells[0], name=name)
+        path = Path("sweep.json")
+        path.write_text(
+            json.dumps(dataclasses.asdict(dataclasses.replace(sweep, cells=(hostile,))))
+        )
+        with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
+            load_sweep(path)
+    save_result(Path("a"), {"cell": "../b", "status": DONE}, None)
+    with pytest.raises(ail.UserError, match="is not of this cell; delete it"):
+        load_result(Path("a"))
+
+
+def test_what_auto_means_is_decided_once(in_tmp_path: Path) -> None:
+    spec = {"env": "swimmer", "algorithm": "ars", "grid": [{"settings": {"num_iterations": 1}}]}
+    (cell,) = expand(spec).cells
+    here = cell.make_plan().config.physics
+    assert (cell.physics, cell.engine) == ("auto", here)
+    elsewhere = "mujoco" if here == "mjx" else "mjx"
+    assert dataclasses.replace(cell, engine=elsewhere).make_plan().config.physics == elsewhere
+
+
+def test_a_sweep_of_an_earlier_version_goes_on(in_tmp_path: Path) -> None:
+    sweep, path = expand(quick_grid()), Path("sweep.json")
+    sweep.save(path)
+    content = json.loads(path.read_text())
+    del content["cells"][0]["demonstrations_sha256"]
+    path.write_text(json.dumps(content))
+    sweep.require_same(path)
+
+
+def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
+    spec = grid(demonstrations)
+    expand(spec).save(Path("sweep/sweep.json"))
+    (begun,) = load_sweep(Path("sweep/sweep.json")).cells
+    recorded = ail.load_demonstrations(demonstrations)
+    other = recorded.replace(observations=0.5 * recorded.observations)
+    save_demonstrations(other, demonstrations)
+    with pytest.raises(ail.UserError, match=r"point_mass\.npz is not what it was when the sweep"):
+        begun.make_plan()
+    with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
+        expand(spec).save(Path("sweep/sweep.json"))
+    (shipped,) = expand({"env": "swimmer", "grid": [{"num_trajectories": 1}]}).cells
+    assert shipped.demonstrations_sha256 is None
+
+
+@pytest.mark.parametrize("key", ["seeds", "episodes", "subsample", "label", "settings.noise_std"])
+def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> None:
+    Path("long.toml").write_text(f'{key} = 0x{"f" * 4000}\nenv = "hopper"\n[[grid]]\n')
+    with pytest.raises(ail.UserError, match=r"that no computer counts to|there is no key"):
+        expand(read_spec(Path("long.toml")))
+
+
+@pytest.mark.slow  # rolls out the shipped experts
+@pytest.mark.parametrize(
+    ("name", "num_cells"),
+    {
+        "smoke": 8,
+        "paper": 192,
+        "curves": 20,
+        "ablations": 81,
+        "ant_humanoid": 18,
+        "baselines": 12,
+    }.items(),
+)
+def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:
+    assert len(expand(read_spec(EXPERIMENTS / f"{name}.toml")).cells) == num_cells

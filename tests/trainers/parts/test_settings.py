@@ -1,0 +1,58 @@
+"""Settings that are handed in from Python, as they are."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.ailsrs import AilsrsSettings
+from ailsrs_jax.trainers.ars import ArsSettings
+from ailsrs_jax.trainers.parts.settings import validate
+
+GOOD: list[Any] = [
+    AilsrsSettings(reward_after_end=0, gradient_penalty=10),
+    AilsrsSettings(step_size=np.float32(0.1), noise_std=jnp.array(0.1)),  # type: ignore[arg-type]
+    AilsrsSettings(num_directions=np.int64(320)),  # type: ignore[arg-type]
+    ArsSettings(survival_bonus=-1),
+]
+
+WRONG: dict[str, dict[str, Any]] = {
+    "num_directions is 0: it must be at least 1": {"num_directions": 0},
+    "num_directions is 320.0: it must be a whole number": {"num_directions": 320.0},
+    "episode_length is True: it must be a whole number": {"episode_length": True},
+    "it must be below 2^31": {"num_iterations": 10**30},
+    "0: it must be a number": {"step_size": 10**400},
+    "behavior_cloning_start is 1: it must be true or false": {"behavior_cloning_start": 1},
+    "standardize_with is Expert: it must be running or expert": {"standardize_with": "Expert"},
+    "step_size is 0: it must be positive": {"step_size": 0},
+    "step_size is 0.02: it must be a number": {"step_size": "0.02"},
+    "it must be a number": {"step_size": [0.02, 0.03]},
+    "step_size is [[1], [1, 2]]: it must be a number": {"step_size": [[1], [1, 2]]},
+    "gradient_penalty is inf: it must be finite": {"gradient_penalty": np.inf},
+    "gradient_penalty is -1: it must not be negative": {"gradient_penalty": -1},
+    "reward_after_end is 2: it must be at most 1": {"reward_after_end": 2},
+}
+
+
+@pytest.mark.parametrize("settings", GOOD)
+def test_what_makes_sense(settings: Any) -> None:
+    validate(settings)
+
+
+@pytest.mark.parametrize(("message", "change"), WRONG.items())
+def test_what_makes_none(message: str, change: dict[str, Any]) -> None:
+    with pytest.raises(UserError) as caught:
+        validate(dataclasses.replace(AilsrsSettings(), **change))
+    assert message in str(caught.value)
+
+
+def test_traced_ones_may_be_anything() -> None:
+    def make(step_size: jax.Array) -> jax.Array:
+        validate(dataclasses.replace(AilsrsSettings(), step_size=step_size))
+        return step_size
+
+    jax.jit(make)(-1.0)

@@ -110,7 +110,7 @@ def train(
     if distributed:
         if output is None:
             raise UserError("--distributed needs --output, a directory that all processes see")
-        if not find_algorithm(algorithm).searches:
+        if not find_algorithm(algorithm).shares_devices:
             raise UserError(f"--distributed: {algorithm} has no directions to share")
         join_processes()
         quiet = quiet or not is_first_process()
@@ -144,7 +144,7 @@ def train(
     console.print(
         f"[bold]{title}[/] · {escape(learns_from)} · preset {preset} · seeds "
         f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({plan.physics_reason}) · "
-        f"devices: {plan.devices.count} · {escape(str(output))}",
+        f"devices: {plan.simulator.num_devices} · {escape(str(output))}",
         soft_wrap=True,
     )
     stop = StopSignals()

@@ -14,7 +14,7 @@ from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
-from ailsrs_jax.trainers.parts.devices import AXIS, ONE_DEVICE, Devices
+from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
 
 # Simulations of a CPU core at a time. More make better use of its vector units, fewer leave less
 # to wait for when the last episodes of an iteration are still alive (experiments/packing.py).
@@ -93,33 +93,22 @@ def anywhere(flag: bool) -> bool:
     return bool(multihost_utils.process_allgather(np.array(flag)).any())
 
 
-def choose_devices(env: Env, num_directions: int) -> Devices:
-    """All devices, of all processes, or as many as can share the directions evenly.
+def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
+    """Simulate on all devices of all processes, ``batch_size`` episodes of each at a time.
 
-    MuJoCo's C engine uses all cores of a process by itself, so there one device of each.
+    MuJoCo's C engine uses all cores of a process by itself, so it gets one device of each process.
+    By default all episodes are simulated at a time, except by MJX on CPU cores where episodes end
+    early: there every simulation costs the same whether its episode has ended or not.
     """
+    devices = jax.devices()
     if _steps_in_c(env):
-        of_each_process = {device.process_index: device for device in reversed(jax.devices())}
+        of_each_process = {device.process_index: device for device in reversed(devices)}
         devices = [of_each_process[index] for index in sorted(of_each_process)]
-    else:
-        devices = jax.devices()
-    if jax.process_count() == 1:  # else each has to take part
-        while num_directions % len(devices):
-            devices = devices[:-1]
-    return Devices(Mesh(np.array(devices), (AXIS,))) if len(devices) > 1 else ONE_DEVICE
-
-
-def choose_batch_size(env: Env) -> int | None:
-    """Simulations of a device at a time; None for all.
-
-    Where episodes can end early and every simulation costs the same, ended or not: on CPU cores
-    with physics in JAX.
-    """
-    if jax.default_backend() != "cpu":
-        return None
-    if _steps_in_c(env) or (isinstance(env, MujocoTask) and not env.ends_early):
-        return None
-    return CPU_BATCH_SIZE
+    elif batch_size is None and jax.default_backend() == "cpu":
+        ends_early = not isinstance(env, MujocoTask) or env.ends_early
+        batch_size = CPU_BATCH_SIZE if ends_early else None
+    mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
+    return Simulator(env, mesh, batch_size)
 
 
 def _steps_in_c(env: Env) -> bool:

@@ -16,8 +16,7 @@ from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.devices import (
     anywhere,
-    choose_batch_size,
-    choose_devices,
+    choose_simulator,
     is_first_process,
     set_up_jax,
     together,
@@ -30,11 +29,10 @@ from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.tracked import tracked
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
-from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
-from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
+from ailsrs_jax.trainers.algorithms import find_algorithm, make_trainer, preset_settings
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override, parse
-from ailsrs_jax.trainers.parts.trainer import Trainer
-from ailsrs_jax.trainers.presets import preset_settings
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 CHECKPOINT_EVERY = 10  # iterations
 
@@ -49,8 +47,7 @@ class Plan:
     env: Env
     demonstrations: Demonstrations | None
     physics_reason: str
-    devices: Devices
-    rollout_batch_size: int | None  # simulations of a device at a time; None for all
+    simulator: Simulator
 
     @property
     def algorithm(self) -> Algorithm:
@@ -59,14 +56,8 @@ class Plan:
 
     def make_trainer(self) -> Trainer:
         """The trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
-        return make_trainer(
-            self.algorithm,
-            self.env,
-            self.demonstrations,
-            self.config.settings,
-            self.devices,
-            self.rollout_batch_size,
-        )
+        config = self.config
+        return make_trainer(config.algorithm, self.simulator, self.demonstrations, config.settings)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,7 +173,7 @@ def make_plan(
     for seed in seeds:
         require_seed(seed)
     chosen = find_algorithm(algorithm)
-    if rollout_batch_size is not None and not chosen.searches:
+    if rollout_batch_size is not None and not chosen.shares_devices:
         raise UserError(f"rollout_batch_size is of random search: {algorithm} has no such episodes")
     settings = preset_settings(env_id, preset, algorithm)
     settings = override(settings, parse(settings, assignments))
@@ -211,10 +202,10 @@ def make_plan(
         demonstrations_sha256=sha256,
         subsample=subsample if demonstrations else None,
     )
-    devices = choose_devices(task, settings.num_directions) if chosen.searches else ONE_DEVICE
-    if rollout_batch_size is None and chosen.searches:
-        rollout_batch_size = choose_batch_size(task)
-    return Plan(config, task, demonstrations, reason, devices, rollout_batch_size)
+    simulator = Simulator(task)
+    if chosen.shares_devices:
+        simulator = choose_simulator(task, rollout_batch_size)
+    return Plan(config, task, demonstrations, reason, simulator)
 
 
 def execute(

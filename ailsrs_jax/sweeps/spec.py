@@ -20,7 +20,8 @@ from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.sweeps.cells import Cell, Sweep
-from ailsrs_jax.trainers.presets import changed_settings
+from ailsrs_jax.trainers.algorithms import changed_settings
+from ailsrs_jax.trainers.parts.settings import as_text
 
 # Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
 # a list, whose elements are tried in turn. ``settings`` is a table of such values.
@@ -172,9 +173,12 @@ def _check_group(
         algorithm=config.algorithm,
         env_id=config.env_id,
         preset=config.preset,
-        settings=changed_settings(
-            config.env_id, config.preset, config.algorithm, vars(config.settings)
-        ),
+        settings={
+            name: as_text(value)
+            for name, value in changed_settings(
+                config.env_id, config.preset, config.algorithm, vars(config.settings)
+            ).items()
+        },
         all_settings=dataclasses.asdict(config.settings),
         demonstrations=named,
         # The shipped experts' are simulated where they are needed, and differ by roundings.

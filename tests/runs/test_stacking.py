@@ -13,7 +13,7 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
 from ailsrs_jax.runs.stacking import execute_stack, stack_key
-from ailsrs_jax.trainers.parts.devices import ONE_DEVICE
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.exploding import ExplodingPointMass
 from tests.point_mass import PointMass
 from tests.runs.storage.test_tracking import require_events
@@ -55,7 +55,7 @@ def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[run.Pl
                 algorithm=algorithm,
             )
         )
-    return [dataclasses.replace(plan, devices=ONE_DEVICE) for plan in made]
+    return [dataclasses.replace(plan, simulator=Simulator(plan.env)) for plan in made]
 
 
 def metrics(path: Path) -> dict[str, np.ndarray]:
@@ -117,7 +117,7 @@ def test_a_stack_goes_on_where_some_are_finished(
                 {"num_iterations": "30", "patience": "1", "learning_rate": str(rate)},
                 algorithm="bc",
             ),
-            devices=ONE_DEVICE,
+            simulator=Simulator(env),
         )
         for rate in (1e-3, 0.3)
     ]
@@ -149,7 +149,7 @@ def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -
     cells = [
         dataclasses.replace(
             run.make_plan(env, None, None, (seed,), "tuned", "auto", settings, algorithm="ars"),
-            devices=ONE_DEVICE,
+            simulator=Simulator(env),
         )
         for seed in range(4)
     ]

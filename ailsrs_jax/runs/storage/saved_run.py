@@ -25,9 +25,9 @@ from ailsrs_jax.runs.run import make_plan
 from ailsrs_jax.runs.storage.config import read_config, require_seed
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.training_data import HANDED_IN, NUM_TRAJECTORIES, SHIPPED_EXPERT
-from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm
+from ailsrs_jax.trainers.algorithms import changed_settings, find_algorithm
 from ailsrs_jax.trainers.parts.settings import as_text
-from ailsrs_jax.trainers.presets import changed_settings
+from ailsrs_jax.trainers.parts.trainer import Algorithm
 
 # What config.json holds, and of what type; see RunConfig.
 FIELDS: dict[str, tuple[type, ...]] = {
@@ -76,9 +76,10 @@ class SavedRun:
         """What differs from the preset; all of them, if there is no such preset any more."""
         config = self.config
         try:
-            return changed_settings(
+            changed = changed_settings(
                 config["env_id"], config["preset"], config["algorithm"], config["settings"]
             )
+            return {name: as_text(value) for name, value in changed.items()}
         except UserError:
             return {name: as_text(value) for name, value in sorted(config["settings"].items())}
 

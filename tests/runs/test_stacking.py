@@ -117,7 +117,7 @@ def test_a_stack_goes_on_where_some_are_finished(
                 {"num_iterations": "30", "patience": "1", "learning_rate": str(rate)},
                 algorithm="bc",
             ),
-            simulator=Simulator(env),
+            simulator=Simulator(point_mass),
         )
         for rate in (1e-3, 0.3)
     ]

@@ -28,8 +28,8 @@ def generalized_advantages(
 
         A_t = δ_t + γ λ A_{t+1},   δ_t = r_t + γ V(s_{t+1}) − V(s_t)
 
-    V(s_{t+1}) counts as 0 for a terminal state. The sum ends where an episode is over, in a terminal
-    state or at its time limit.
+    V(s_{t+1}) counts as 0 for a terminal state. The sum ends where an episode is over, in a
+    terminal state or at its time limit.
 
     Args:
         rewards: ``(T, ...)`` r.
@@ -55,7 +55,7 @@ def generalized_advantages(
 
 
 def gaussian_log_density(actions: jax.Array, means: jax.Array, log_std: jax.Array) -> jax.Array:
-    """Return log densities ``(...)`` of ``actions (..., p)`` under N(means, diag(exp(2 log_std)))."""
+    """Return log densities ``(...)`` of actions ``(..., p)``, N(means, diag(exp(2 log_std)))."""
     z = (actions - means) / jnp.exp(log_std)
     return jnp.sum(-0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2.0 * jnp.pi), axis=-1)
 

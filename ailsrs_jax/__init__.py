@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
+    from ailsrs_jax.trainers.algorithms import preset_settings as preset_settings
     from ailsrs_jax.trainers.ars import Ars as Ars
     from ailsrs_jax.trainers.ars import ArsSettings as ArsSettings
     from ailsrs_jax.trainers.ars import make_ars as make_ars
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.gail import Gail as Gail
     from ailsrs_jax.trainers.gail import GailSettings as GailSettings
     from ailsrs_jax.trainers.gail import make_gail as make_gail
-    from ailsrs_jax.trainers.presets import preset_settings as preset_settings
     from ailsrs_jax.trainers.trpo import Trpo as Trpo
     from ailsrs_jax.trainers.trpo import TrpoSettings as TrpoSettings
     from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
@@ -103,7 +103,7 @@ _HOMES = {
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
     "merge_sweeps": "sweeps.merge",
-    "preset_settings": "trainers.presets",
+    "preset_settings": "trainers.algorithms",
     "record": "runs.demonstrate",
     "render": "show.video",
     "report": "show.report",

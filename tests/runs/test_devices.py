@@ -3,7 +3,6 @@ import subprocess
 import sys
 
 import jax
-import pytest
 from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
@@ -43,25 +42,25 @@ def test_what_the_user_has_chosen_stays() -> None:
     assert count == "5"
 
 
-@pytest.mark.parametrize(("num_directions", "expected"), [(320, 4), (6, 3), (7, 1), (1, 1)])
-def test_as_many_devices_as_share_the_directions(num_directions: int, expected: int) -> None:
+def test_all_devices_share_the_episodes() -> None:
     assert jax.local_device_count() == 4  # as tests/conftest.py says
-    assert devices.choose_devices(PointMass(), num_directions).count == expected
-    assert devices.choose_devices(make_env("hopper", "mjx"), num_directions).count == expected
+    for env in (PointMass(), make_env("hopper", "mjx")):
+        assert devices.choose_simulator(env).num_devices == 4
 
 
 def test_the_c_engine_has_all_cores_on_one_device() -> None:
     for env in (make_env("hopper", "mujoco"), EpisodeWrapper(make_env("hopper", "mujoco"), 5, 1)):
-        assert devices.choose_devices(env, 320).count == 1
-        assert devices.choose_batch_size(env) is None
+        simulator = devices.choose_simulator(env)
+        assert (simulator.num_devices, simulator.batch_size) == (1, None)
 
 
 def test_slots_are_refilled_where_that_saves_something() -> None:
     sizes = {
-        (name, physics): devices.choose_batch_size(make_env(name, physics))
+        (name, physics): devices.choose_simulator(make_env(name, physics)).batch_size
         for name in ("hopper", "halfcheetah")
         for physics in ("mjx", "mujoco")
     }
     assert sizes.pop(("hopper", "mjx")) == devices.CPU_BATCH_SIZE
     assert set(sizes.values()) == {None}
-    assert devices.choose_batch_size(PointMass()) == devices.CPU_BATCH_SIZE  # it might end early
+    simulator = devices.choose_simulator(PointMass())  # which might end early
+    assert simulator.batch_size == devices.CPU_BATCH_SIZE

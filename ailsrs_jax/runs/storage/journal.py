@@ -8,7 +8,7 @@ import numpy as np
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
-from ailsrs_jax.runs.storage.tracked import Tracker
+from ailsrs_jax.runs.storage.trackers import Tracker
 
 SECONDS_COLUMNS = ("iteration", "seconds", "compile_seconds")
 

@@ -93,7 +93,7 @@ def test_a_damaged_file_of_the_newest_is_noticed(
         caplog.clear()
         assert read(copy) == (2, 2.0)
         (record,) = caplog.records
-        assert record.getMessage() == f"checkpoint 3 in {copy} is damaged: going on from 2"
+        assert record.getMessage() == f"checkpoint 3 in {copy} is damaged: resuming from 2"
         write(copy, 3)  # as the run that goes on does
         assert read(copy) == (3, 3.0)
     assert capfd.readouterr().err == ""
@@ -102,7 +102,7 @@ def test_a_damaged_file_of_the_newest_is_noticed(
 def test_none_that_can_be_read_is_an_error_and_nothing_is_removed(copy: Path, capfd) -> None:
     for number in (2, 3):
         (copy / str(number) / HASHES).write_text("")
-    with pytest.raises(UserError, match="delete them to begin anew") as caught:
+    with pytest.raises(UserError, match="delete them to start over") as caught:
         read(copy)
     assert len(str(caught.value).splitlines()) == 1
     assert sorted(path.name for path in copy.iterdir()) == ["2", "3"]

@@ -1,4 +1,4 @@
-"""One name for demonstrations, wherever they are."""
+"""Sources of demonstrations."""
 
 from pathlib import Path
 

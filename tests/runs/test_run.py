@@ -139,7 +139,7 @@ def test_the_same_command_gives_the_same_bits(tmp_path: Path) -> None:
     for name in names:
         once, again = ((tmp_path / run / name).read_bytes() for run in ("once", "again"))
         assert once == again, name
-    # 2N perturbed and the evaluation episodes, all of full length on the swimmer.
+    # 2N perturbed episodes and the evaluation episodes; the swimmer's never end early.
     episodes = 2 * 2 + made.config.settings.num_evaluation_episodes
     steps = [int(row["env_steps"]) for row in read_rows(tmp_path / "once")[::2]]
     assert steps == [10 * episodes, 2 * 10 * episodes]
@@ -292,7 +292,7 @@ def test_demonstrations_in_memory_are_checked_like_files() -> None:
     with pytest.raises(UserError, match="handed in: actions hold NaN"):
         make_plan(demonstrations=broken)
     padded = swimmer_demonstrations().replace(lengths=np.array([10, 4, 10]))
-    padded.observations[1, 4:] = np.nan  # after the end: means nothing
+    padded.observations[1, 4:] = np.nan  # after the episode's end, where values are ignored
     assert np.isfinite(make_plan(demonstrations=padded).demonstrations.observations).all()
 
 

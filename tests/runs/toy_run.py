@@ -1,7 +1,7 @@
-"""A run in a process of its own, to be killed.
+"""A small run in its own process, for tests that kill it.
 
-``python -m tests.runs.toy_run OUTPUT ITERATIONS CHECKPOINT_EVERY ALGORITHM`` goes on where there is
-something to go on from, and stops as the command line does.
+``python -m tests.runs.toy_run OUTPUT ITERATIONS CHECKPOINT_EVERY ALGORITHM`` resumes if there is a
+run in OUTPUT, and handles signals as the command line does.
 """
 
 import sys

@@ -36,9 +36,9 @@ def set_up_jax() -> None:
 def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
     """Simulate on all devices of all processes, ``batch_size`` episodes of each at a time.
 
-    MuJoCo's C engine uses all cores of a process itself, so it gets one device of each process. By
-    default all episodes are simulated at a time. The exception is MJX on CPU cores where episodes
-    can end early, because there a simulation whose episode has ended still costs time.
+    MuJoCo's C engine uses all cores of a process itself, so each process then has one device. By
+    default all episodes are simulated at a time. The exception is physics in JAX on CPU cores where
+    episodes end early, because there a simulation costs the same after its episode has ended.
     """
     devices = jax.devices()
     if _steps_in_c(env):

@@ -17,7 +17,7 @@ def iterate(
     start: int,
     num_iterations: int,
     *arguments: Any,
-    sharding: jax.sharding.Sharding | None = None,
+    place: jax.sharding.Sharding | None = None,
 ) -> Iterator[tuple[Any, IterationReport]]:
     """Apply ``update`` until ``num_iterations`` are done, and yield state and report after each.
 
@@ -30,13 +30,13 @@ def iterate(
         start: iterations already done.
         num_iterations: iterations in all.
         arguments: further arguments of ``update``, for all lanes.
-        sharding: of the new state and the metrics; None leaves it to XLA.
+        place: where results lie on the devices, so that ``update`` can take them again.
     """
     if start == num_iterations or finished(state).all():
         return
     started = time.perf_counter()
     # Compiled ahead of time, which times it separately and rules out compiling again later.
-    jitted = jax.jit(jax.vmap(update), out_shardings=sharding)
+    jitted = jax.jit(jax.vmap(update), out_shardings=place)
     compiled = jitted.lower(state, *arguments).compile()
     compile_seconds = time.perf_counter() - started
     for iteration in range(start, num_iterations):

@@ -3,7 +3,6 @@
 import dataclasses
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import TASKS, open_env, short_name, takes_physics
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
@@ -27,7 +26,6 @@ class Plan:
 
     spec: RunSpec  # names and physics resolved, so that its command makes the same run again
     config: RunConfig
-    env: Env
     simulator: Simulator
     demonstrations: Demonstrations | None
     physics_reason: str  # why this engine, for people to read
@@ -82,12 +80,13 @@ def plan(spec: RunSpec) -> Plan:
         demonstrations_sha256=data.sha256 if data else None,
         subsample=spec.subsample if data else None,
     )
-    shared = algorithm.shares_devices
+    simulator = Simulator(env)
+    if algorithm.shares_devices:
+        simulator = choose_simulator(env, batch_size)
     return Plan(
         spec=_resolved(spec, config),
         config=config,
-        env=env,
-        simulator=choose_simulator(env, batch_size) if shared else Simulator(env),
+        simulator=simulator,
         demonstrations=data.demonstrations if data else None,
         physics_reason=reason,
     )

@@ -7,7 +7,7 @@ from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import make_env
-from ailsrs_jax.runs import devices
+from ailsrs_jax.runs.devices import CPU_BATCH_SIZE, choose_simulator
 from tests.point_mass import PointMass
 
 REPORT = """
@@ -44,23 +44,23 @@ def test_what_the_user_has_chosen_stays() -> None:
 
 def test_all_devices_share_the_episodes() -> None:
     assert jax.local_device_count() == 4  # as tests/conftest.py says
-    for env in (PointMass(), make_env("hopper", "mjx")):
-        assert devices.choose_simulator(env).num_devices == 4
+    assert choose_simulator(PointMass()).num_devices == 4
+    assert choose_simulator(make_env("hopper", "mjx")).num_devices == 4
 
 
 def test_the_c_engine_has_all_cores_on_one_device() -> None:
     for env in (make_env("hopper", "mujoco"), EpisodeWrapper(make_env("hopper", "mujoco"), 5, 1)):
-        simulator = devices.choose_simulator(env)
+        simulator = choose_simulator(env)
         assert (simulator.num_devices, simulator.batch_size) == (1, None)
 
 
 def test_slots_are_refilled_where_that_saves_something() -> None:
     sizes = {
-        (name, physics): devices.choose_simulator(make_env(name, physics)).batch_size
+        (name, physics): choose_simulator(make_env(name, physics)).batch_size
         for name in ("hopper", "halfcheetah")
         for physics in ("mjx", "mujoco")
     }
-    assert sizes.pop(("hopper", "mjx")) == devices.CPU_BATCH_SIZE
+    assert sizes.pop(("hopper", "mjx")) == CPU_BATCH_SIZE
     assert set(sizes.values()) == {None}
-    simulator = devices.choose_simulator(PointMass())  # which might end early
-    assert simulator.batch_size == devices.CPU_BATCH_SIZE
+    assert choose_simulator(PointMass()).batch_size == CPU_BATCH_SIZE  # it might end early
+    assert choose_simulator(PointMass(), 3).batch_size == 3

@@ -22,6 +22,7 @@ from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.runs import toy_run
 
 SETTINGS = {
@@ -59,11 +60,9 @@ def make_plan(**changes: Any) -> Plan:
 
 
 def toy_plan(**settings: Any) -> Plan:
-    """A run of AILSRS on the point mass, which compiles faster."""
-    made = toy_run.plan(12, "ailsrs")
-    return plan(
-        dataclasses.replace(made.spec, env=made.env, settings={**made.spec.settings, **settings})
-    )
+    """A run of AILSRS on the point mass and one device, which compiles fast."""
+    made = toy_run.plan(12, "ailsrs", **settings)
+    return dataclasses.replace(made, simulator=Simulator(made.simulator.env))
 
 
 @pytest.fixture(scope="module")

@@ -42,8 +42,8 @@ CHANGES: dict[str, list[dict[str, Any]]] = {
 
 
 def one_device(*arguments: Any, **fields: Any) -> Plan:
-    made = plan(RunSpec(*arguments, **fields))
-    return dataclasses.replace(made, simulator=Simulator(made.env))
+    planned = plan(RunSpec(*arguments, **fields))
+    return dataclasses.replace(planned, simulator=Simulator(planned.simulator.env))
 
 
 def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[Plan]:

@@ -29,7 +29,7 @@ ADVERSARY = {
 SEEDS = (0, 5)
 
 
-def plan(num_iterations: int, algorithm: str) -> Plan:
+def plan(num_iterations: int, algorithm: str, **changes: Any) -> Plan:
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
         observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
@@ -46,7 +46,7 @@ def plan(num_iterations: int, algorithm: str) -> Plan:
         demonstrations if algorithm == "ailsrs" else None,
         algorithm=algorithm,
         seeds=SEEDS,
-        settings=settings,
+        settings=settings | changes,
     )
     return make_plan(spec)
 

@@ -134,8 +134,6 @@ def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., 
     init = jax.vmap(lambda seed: trainer.init(jax.random.key(seed)))
     start = jax.jit(init, out_shardings=place)(seeds)
     num_iterations = settings.num_iterations
-    for state, report in iterate(
-        trainer.update, start, env_steps, 0, num_iterations, sharding=place
-    ):
+    for state, report in iterate(trainer.update, start, env_steps, 0, num_iterations, place=place):
         kept = jax.tree.map(lambda x: x[0], state.kept)
         consider(report, kept.policy, float(kept.score))

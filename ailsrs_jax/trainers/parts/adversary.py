@@ -14,7 +14,7 @@ from ailsrs_jax.components import discriminator
 from ailsrs_jax.components.discriminator import LOSSES, REWARDS
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.own_code import load_own
+from ailsrs_jax.own_code import own_function
 from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.settings import Positive, is_used
@@ -163,5 +163,4 @@ class Adversary:
 
 def _find(known: dict[str, Callable[..., jax.Array]], name: str) -> Callable[..., jax.Array]:
     """Return the function of that name, or the user's own ``module:attribute``."""
-    function: Callable[..., jax.Array] = known[name] if name in known else load_own(name)
-    return function
+    return known[name] if name in known else own_function(name)

@@ -50,8 +50,9 @@ class Source:
         if self.kind == "expert":
             shipped = "of the expert that ships with the package"
             return shipped if self.name is None else f"{shipped} and has the paper's return"
-        left_out = self.num_left_out and f" ({self.num_left_out} truncated episodes left out)"
-        return f"{self.argument}{left_out or ''}"
+        episodes = "episode" if self.num_left_out == 1 else "episodes"
+        note = f" ({self.num_left_out} truncated {episodes} left out)" if self.num_left_out else ""
+        return f"{self.argument}{note}"
 
 
 def parse_source(fields: Any, where: str) -> Source | None:

@@ -49,8 +49,8 @@ def test_the_readme_says_how_fast_it_is() -> None:
     )
     assert (
         f"[{train_speed('halfcheetah.json', 'mujoco'):,.0f} steps/s](docs/speed.md) of "
-        f"HalfCheetah while training on two cores, {gymnasium:.1f} times as many as Gymnasium's "
-        f"environments make without training, {envpool:.2f} times EnvPool's"
+        f"HalfCheetah while training on two cores. That is {gymnasium:.1f} times the speed of "
+        f"Gymnasium's environments without training, and {envpool:.2f} times EnvPool's."
     ) in page("README.md")
 
 
@@ -97,8 +97,8 @@ def test_the_readme_says_when_a_policy_is_there() -> None:
     there = min((run for run in theirs if run.reached), key=attrgetter("seconds"))
     readme = page("README.md")
     ours = "hopper_ours.json"
-    assert f"at 0.9 of the expert in [{seconds(ours, 'ailsrs')}](docs/speed.md)" in readme
-    assert f"a neural clone in {seconds(ours, 'gail')}, our GAIL" in readme
-    assert f"from nothing, in {seconds(ours, 'gail-from-nothing')} (one seed not" in readme
-    assert f"AILSRS's former preset took {seconds('hopper.json', 'ailsrs')}, the" in readme
-    assert f"`imitation` package's takes {there.seconds:.0f} s at the earliest" in readme
+    assert f"AILSRS reaches 0.9 of the expert in [{seconds(ours, 'ailsrs')}](docs/" in readme
+    assert f"a neural clone in {seconds(ours, 'gail')}, and our GAIL" in readme
+    assert f"without a clone in {seconds(ours, 'gail-from-nothing')} (one seed does not" in readme
+    assert f"AILSRS's former preset took {seconds('hopper.json', 'ailsrs')}, and" in readme
+    assert f"the `imitation` package's GAIL took {there.seconds:.0f} s (two of three" in readme

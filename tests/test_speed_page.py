@@ -84,7 +84,7 @@ def test_the_tables_of_peers_are_what_the_command_prints(
 ) -> None:
     for name in ("hopper_ours.json", "hopper.json"):
         compare.print_table(peer_runs(name))
-    section = (ROOT / "docs" / "speed.md").read_text().split("## Until a policy is there\n")[1]
+    section = (ROOT / "docs" / "speed.md").read_text().split("## Time to a policy\n")[1]
     assert cells(section.split("\n## ")[0]) == cells(capsys.readouterr().out)
 
 

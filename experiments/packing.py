@@ -1,9 +1,10 @@
-"""How much of what MJX simulates is alive, over the first iterations of a task that ends early.
+"""Measure the share of live steps among MJX's simulated steps, on a task that ends early.
 
 usage: python experiments/packing.py [ENV] [ITERATIONS]    (hopper, 50; N = 320, T = 1000)
 
-Trains with the paper's preset, from zero weights, and compares the slots' steps with what a rollout
-without refilling would have simulated: every episode as long as the longest of its device.
+It trains with the paper's preset, from zero weights, and compares the steps of the slots with those
+of a simulation without refilled slots, where every episode takes as long as the longest of its
+device.
 """
 
 import sys
@@ -22,7 +23,7 @@ from ailsrs_jax.trainers.presets import preset_settings
 
 
 def main() -> None:
-    """Print the shares of live steps, every ten iterations."""
+    """Print the shares of live steps every ten iterations."""
     set_up_jax()
     env_id = resolve_env_id(sys.argv[1] if len(sys.argv) > 1 else "hopper")
     num_iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 50

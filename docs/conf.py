@@ -1,9 +1,9 @@
 """The documentation as a site: ``make docs``.
 
-The pages are the Markdown files of the repository in their places, so links work both on a code host
-and on the site. The page of the command line is made from the help of the commands, and the Python
-reference from docstrings. Nothing is loaded from the network, neither by the build nor by a reader's
-browser: formulas are MathML, and fonts are the reader's own.
+The pages are the Markdown files of the repository in their places, so links work both on a code
+host and on the site. The page of the command line is made from the help of the commands, and the
+Python reference from docstrings. Nothing is loaded from the network, neither by the build nor by a
+reader's browser: formulas are MathML, and fonts are the reader's own.
 """
 
 import dataclasses

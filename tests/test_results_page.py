@@ -319,7 +319,7 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
 
 
 def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
-    """docs/algorithms.md says so; on Walker2d each return counts at most as much as the expert's."""
+    """docs/algorithms.md says so; on Walker2d a return counts at most as much as the expert's."""
     sweeps = results.read_all(results.RESULTS)
     page = (README.parent / "docs" / "algorithms.md").read_text()
 

@@ -24,6 +24,7 @@ from tests.cli.test_cli import TINY, ailsrs
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 OWN_TASK = ROOT / "docs" / "own_task.md"
+OWN_ALGORITHM = ROOT / "docs" / "your_own_algorithm.md"
 
 # Options that are added to each command so that it takes seconds.
 SMALLER = {
@@ -89,8 +90,10 @@ def test_formulas_are_mathml(site: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_can_be_typed(page: Path) -> None:
+def test_commands_can_be_typed(page: Path, in_tmp_path: Path) -> None:
     """Every command is parsed and its settings are looked up, but none is run."""
+    if page == OWN_ALGORITHM:
+        Path("my_file.py").write_text(blocks(page, "python")[0])
     parser = tyro.extras.SubcommandApp()
     for name, command in app._subcommands.items():
         parser.command(_parsed_only(command.target), name=name)

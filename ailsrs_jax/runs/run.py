@@ -27,8 +27,7 @@ from ailsrs_jax.runs.policies import kept_policies
 from ailsrs_jax.runs.storage.config import RunConfig, content_hash, require_seed
 from ailsrs_jax.runs.storage.directory import RunDirectory, claimed
 from ailsrs_jax.runs.storage.metrics import IterationReport
-from ailsrs_jax.runs.storage.tracked import tracked
-from ailsrs_jax.runs.storage.trackers import require_tracker
+from ailsrs_jax.runs.storage.trackers import Tracker, require_tracker
 from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
 from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
 from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
@@ -262,8 +261,9 @@ def execute(
             with together():
                 directory = stack.enter_context(RunDirectory(output, config, checkpoint_every))
                 num_done, progress = directory.restore(progress)
-            if is_first_process():
-                tracker = stack.enter_context(tracked(track, [output]))
+            if track is not None and is_first_process():
+                tracker = Tracker(track, output)
+                stack.callback(tracker.close)
 
         for state, report in iterate(
             trainer.update,
@@ -285,7 +285,7 @@ def execute(
                 with together():
                     directory.record(report, progress, save=stopping or report.is_last)
             if tracker is not None:
-                tracker.check()
+                tracker.append(report)
             if watch is not None:
                 watch(report)
             if stopping:

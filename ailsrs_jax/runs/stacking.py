@@ -18,7 +18,7 @@ from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.directory import claimed, save_policies
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, require_most_finite
-from ailsrs_jax.runs.storage.tracked import tracked
+from ailsrs_jax.runs.storage.trackers import Tracker
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.trainer import Trainer
 
@@ -105,7 +105,10 @@ def execute_stack(
                 zip(plans, outputs, progress["state"].iteration, strict=True)
             )
         ]
-        tracker = stack.enter_context(tracked(track, outputs))
+        trackers = [] if track is None else [Tracker(track, output) for output in outputs]
+        closes = [journal.close for journal in journals] + [each.close for each in trackers]
+        for close in closes:
+            stack.callback(close)
         waiting = _finished(progress["state"], len(plans))
         for state, report in iterate(
             update,
@@ -121,13 +124,13 @@ def execute_stack(
             for index in np.flatnonzero(~waiting).tolist():
                 mine = _part_of_report(report, index)
                 journals[index].append(mine, to_disk=save)
+                if trackers:
+                    trackers[index].append(mine)
                 watches[index](mine)
             if save:
                 checkpoints.save(report.iteration + 1, progress)
                 for index, (plan, output) in enumerate(zip(plans, outputs, strict=True)):
                     save_policies(_part(progress, index)["state"], plan.config, output)
-            if tracker is not None:
-                tracker.check()
             if watch is not None:
                 watch(report)
             if stopping:

@@ -47,6 +47,8 @@ class RunDirectory:
         traceback: TracebackType | None,
     ) -> None:
         self._checkpoints.__exit__(kind, error, traceback)
+        if self._journal is not None:
+            self._journal.close()
 
     def restore(self, progress: dict[str, Any]) -> tuple[int, dict[str, Any]]:
         """Iterations done, and ``progress`` as it was after them; 0 and itself without any.

@@ -30,3 +30,7 @@ class Journal:
         """
         self._metrics.append(report, to_disk=to_disk)
         self._events.append(report, to_disk=to_disk)
+
+    def close(self) -> None:
+        """Close the event files."""
+        self._events.close()

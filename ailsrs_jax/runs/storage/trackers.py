@@ -132,6 +132,16 @@ def open_wandb(about: About) -> Opened:
     """Begin a run of Weights & Biases; its own environment variables say where, or offline."""
     import wandb
 
+    settings = wandb.Settings(
+        console="off",
+        disable_git=True,
+        silent=True,
+        symlink=False,  # `ailsrs merge` copies only files
+        init_timeout=INIT_SECONDS,
+        finish_timeout=FINISH_SECONDS,
+        finish_timeout_raises=True,
+    )
+    wandb.setup(settings)  # silent here too, or it asks for a login on the terminal
     run = wandb.init(
         id=about.id,
         name=about.name,
@@ -141,15 +151,7 @@ def open_wandb(about: About) -> Opened:
         dir=about.directory,
         resume="allow",
         reinit="create_new",  # a run for each seed is open at the same time
-        settings=wandb.Settings(
-            console="off",
-            disable_git=True,
-            silent=True,
-            symlink=False,  # `ailsrs merge` copies only files
-            init_timeout=INIT_SECONDS,
-            finish_timeout=FINISH_SECONDS,
-            finish_timeout_raises=True,
-        ),
+        settings=settings,
     )
     run.define_metric("*", step_metric="env_steps")
     return Opened(run, run.step)  # offline, step is 0: every offline run holds all rows

@@ -21,9 +21,9 @@ def plan() -> run.Plan:
 
 
 def test_trackio_itself(plan: run.Plan, tmp_path: Path, monkeypatch, caplog) -> None:
-    pytest.importorskip("trackio")
     output = tmp_path / "run"
-    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))  # read when it is imported
+    pytest.importorskip("trackio")
     with pytest.raises(KilledError):
         run.execute(plan, output, track="trackio", watch=kill_at(6))
     run.execute(plan, output, track="trackio", resume=True)

@@ -4,7 +4,7 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,20 +44,19 @@ class EventFiles:
                 earlier process wrote beyond them.
         """
         self._writers: list[RecordWriter] = []
-        try:
+        with self._guarded():
             for seed, done in zip(config.seeds, steps, strict=True):
                 about = config.as_json() | {"seed": seed}
                 del about["seeds"]
-                self._writers.append(_new_file(output / f"seed_{seed}"))
+                writer = _new_file(output / f"seed_{seed}")
+                self._writers.append(writer)
                 for event in _first_events(about, int(done)):
-                    _write(self._writers[-1], event)
-                self._writers[-1].flush()
-        except Exception as error:
-            self._give_up(error)
+                    _write(writer, event)
+                writer.flush()
 
     def append(self, report: IterationReport, *, to_disk: bool) -> None:
         """Write the metrics of an iteration; with ``to_disk``, they survive a loss of power."""
-        try:
+        with self._guarded():
             for index, writer in enumerate(self._writers):
                 values = {name: float(each[index]) for name, each in report.metrics.items()}
                 values["env_steps_per_second"] = report.env_steps_per_second
@@ -69,25 +68,25 @@ class EventFiles:
                 _write(writer, Event(step=step, summary=Summary(value=scalars)))
                 if to_disk:
                     writer.flush()
-        except Exception as error:  # metrics.csv has the same numbers, so any failure is harmless
-            self._give_up(error)
 
     def close(self) -> None:
         """Write what is buffered, and close the files."""
-        try:
-            for writer in self._writers:
-                writer.close()
-        except Exception as error:
-            self._give_up(error)
-        self._writers = []
+        with self._guarded():
+            while self._writers:
+                self._writers.pop().close()
 
-    def _give_up(self, error: Exception) -> None:
-        writers, self._writers = self._writers, []
-        for writer in writers:
-            with contextlib.suppress(Exception):
-                writer.close()
-        reason = getattr(error, "strerror", None) or one_line(error)
-        logger.warning("no more events for TensorBoard: %s", reason)
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """At the first error of any kind, warn and write no more events."""
+        try:
+            yield
+        except Exception as error:
+            for writer in self._writers:
+                with contextlib.suppress(Exception):
+                    writer.close()
+            self._writers = []
+            reason = getattr(error, "strerror", None) or one_line(error)
+            logger.warning("no more events for TensorBoard: %s", reason)
 
 
 def _new_file(directory: Path) -> RecordWriter:

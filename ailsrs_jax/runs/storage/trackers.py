@@ -12,7 +12,7 @@ import re
 import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.runs.storage.metrics import IterationReport
@@ -35,21 +35,9 @@ class About(NamedTuple):
     directory: Path  # the run directory
 
 
-class TrackedRun(Protocol):
-    """The client's object for one run; its methods may raise anything."""
-
-    def log(self, data: dict[str, float], *, step: int) -> None:
-        """Queue the metrics of an iteration."""
-
-    def finish(self) -> None:
-        """Wait until the tracker has all metrics."""
-
-
-class Opened(NamedTuple):
-    """A run that a tracker has begun or resumed."""
-
-    run: TrackedRun
-    next_step: int  # the first iteration that the tracker lacks
+# The client's own object for a run, with methods log and finish that may raise anything; and the
+# first iteration that the tracker lacks.
+Opened = tuple[Any, int]
 
 
 class Tracker:
@@ -85,16 +73,15 @@ class Tracker:
     def close(self) -> None:
         """Wait until the tracker has all metrics; the clients limit how long."""
         with self._guarded():
-            for opened in self._opened.values():
-                opened.run.finish()
+            for run, _ in self._opened.values():
+                run.finish()
             self._opened = {}
 
     def _log(self, seed: int, iteration: int, row: dict[str, str]) -> None:
         """Send a row of ``metrics.csv`` unless the tracker has it already."""
-        opened = self._opened[seed]
-        if iteration >= opened.next_step:
-            metrics = {name: float(value) for name, value in row.items()}
-            opened.run.log(metrics, step=iteration)
+        run, next_step = self._opened[seed]
+        if iteration >= next_step:
+            run.log({name: float(value) for name, value in row.items()}, step=iteration)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -154,7 +141,7 @@ def open_wandb(about: About) -> Opened:
         settings=settings,
     )
     run.define_metric("*", step_metric="env_steps")
-    return Opened(run, run.step)  # offline, step is 0: every offline run holds all rows
+    return run, run.step  # offline, step is 0: every offline run holds all rows
 
 
 def open_trackio(about: About) -> Opened:
@@ -173,7 +160,7 @@ def open_trackio(about: About) -> Opened:
         auto_log_gpu=False,
         auto_log_cpu=False,
     )
-    return Opened(run, run._next_step)
+    return run, run._next_step
 
 
 TRACKERS: dict[str, Callable[[About], Opened]] = {"wandb": open_wandb, "trackio": open_trackio}

@@ -1,17 +1,13 @@
 """Model cards: what a policy is, how good it is, and how it was made."""
 
-import dataclasses
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy
-from ailsrs_jax.data.sources import MINARI
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import Evaluation
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.runs.training_data import HANDED_IN, PAPER_EXPERT, SHIPPED_EXPERT
 
 LICENSE = re.compile(r"[a-z0-9][a-z0-9.+-]{0,50}")  # the identifiers of the Hugging Face Hub
 TEMPLATE = Path(__file__).with_name("model_card.md")
@@ -40,12 +36,7 @@ def find_origin(policy: SavedPolicy, path: Path) -> Origin | None:
             f"{directory} is a run of {run.config['env_id']} with the seeds {run.config['seeds']}: "
             f"{path} is of {policy.env_id} and seed {seed}"
         )
-    source = run.config["demonstrations"]
-    if source not in (None, PAPER_EXPERT) and not source.startswith(MINARI):
-        # A published card must not show the folders of this machine.
-        config = {**run.config, "demonstrations": Path(source).name}
-        run = dataclasses.replace(run, config=config)
-    return Origin(run, seed)
+    return Origin(run.without_folder(), seed)
 
 
 def require_license(name: str) -> None:
@@ -72,7 +63,7 @@ def model_card(
     """
     from huggingface_hub import EvalResult, ModelCard, ModelCardData
 
-    algorithm = origin.run.algorithm.title if origin else "A policy"
+    algorithm = origin.run.title if origin else "A policy"
     title = f"{algorithm} on {policy.env_id}"
     kind = "linear" if isinstance(policy, SavedLinearPolicy) else "neural"
     facts = {
@@ -82,15 +73,15 @@ def model_card(
     }
     tags, command = ["reinforcement-learning", policy.env_id], None
     if origin is not None:
-        config, command = origin.run.config, origin.run.command()
+        config, command = origin.run.config, origin.run.command
         facts |= {
             "algorithm": f"{algorithm}, preset {config['preset']}",
             "seed": str(origin.seed),
-            "demonstrations": _demonstrations(config),
+            "demonstrations": _demonstrations(origin.run),
             "physics of the training": config["physics"],
             "versions": ", ".join(f"{name} {value}" for name, value in config["versions"].items()),
         }
-        if origin.run.algorithm.imitates:
+        if origin.run.imitates:
             tags.insert(0, "imitation-learning")
     result = EvalResult(
         task_type="reinforcement-learning",
@@ -122,16 +113,14 @@ def model_card(
     return str(card)
 
 
-def _demonstrations(config: Mapping[str, Any]) -> str:
-    source, every = config["demonstrations"], config["subsample"]
+def _demonstrations(run: SavedRun) -> str:
+    source, every = run.source, run.config["subsample"]
     if source is None:
         return "none: it learnt from the environment's reward"
-    if source not in (SHIPPED_EXPERT, HANDED_IN):
-        source = f"of {source}"
-    steps = f", every {every}th step" if every not in (None, 1) else ""
-    return (
-        f"{config['num_trajectories']} {source}{steps}; SHA-256 {config['demonstrations_sha256']}"
-    )
+    described = str(source) if source.kind in ("expert", "memory") else f"of {source}"
+    steps = f", every {every}th step" if every != 1 else ""
+    sha256 = run.config["demonstrations_sha256"]
+    return f"{run.config['num_trajectories']} {described}{steps}; SHA-256 {sha256}"
 
 
 def _escape(text: str) -> str:

@@ -18,7 +18,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboardX.record_writer import RecordWriter
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs import run
+from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.storage import tensorboard, trackers
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, read_rows
@@ -96,7 +96,7 @@ def init(*, name, config, **_):
 
 
 @pytest.fixture(scope="module")
-def plan() -> Iterator[run.Plan]:
+def plan() -> Iterator[Plan]:
     plan = toy_run.plan(12, "ars")
     name = "jax_persistent_cache_min_compile_time_secs"
     before = jax.config.values[name]
@@ -119,23 +119,23 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(plan: run.Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("undisturbed") / "run"
-    run.execute(plan, output)
+    toy_run.run(plan, output)
     return output
 
 
 @pytest.fixture(scope="module")
-def resumed(plan: run.Plan, library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def resumed(plan: Plan, library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run killed two iterations after a checkpoint, whose tracker failed until then."""
     output = tmp_path_factory.mktemp("resumed") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FAULT", "log")
         with pytest.raises(KilledError):
-            run.execute(plan, output, checkpoint_every=3, watch=kill_at(7), track="trackio")
+            toy_run.run(plan, output, checkpoint_every=3, watch=kill_at(7), track="trackio")
     newest = max((output / "seed_0").glob("events*"))
     newest.write_bytes(newest.read_bytes()[:-7])  # as after a loss of power
-    run.execute(plan, output, checkpoint_every=3, resume=True, track="trackio")
+    toy_run.run(plan, output, checkpoint_every=3, resume=True, track="trackio")
     return output
 
 
@@ -163,7 +163,7 @@ def test_tensorboard_knows_the_settings(resumed: Path) -> None:
         assert name in started.content
 
 
-def append_thrice(output: Path, plan: run.Plan) -> None:
+def append_thrice(output: Path, plan: Plan) -> None:
     """Write three iterations, and require that metrics.csv has all of their rows."""
     journal = Journal(output, plan.config, 0, [0, 0])
     for iteration in range(3):
@@ -175,7 +175,7 @@ def append_thrice(output: Path, plan: run.Plan) -> None:
 
 @pytest.mark.parametrize("num_written", [6, 11])  # in the second seed's first events; later
 def test_events_that_cannot_be_written_are_done_without(
-    num_written: int, plan: run.Plan, tmp_path: Path, monkeypatch, caplog
+    num_written: int, plan: Plan, tmp_path: Path, monkeypatch, caplog
 ) -> None:
     calls = itertools.count()
 
@@ -190,9 +190,7 @@ def test_events_that_cannot_be_written_are_done_without(
     ]
 
 
-def test_a_full_disk_stops_only_the_events(
-    plan: run.Plan, tmp_path: Path, monkeypatch, caplog
-) -> None:
+def test_a_full_disk_stops_only_the_events(plan: Plan, tmp_path: Path, monkeypatch, caplog) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full")
     monkeypatch.setattr(tensorboard, "_new_file", lambda _: RecordWriter("/dev/full"))
@@ -253,7 +251,7 @@ def test_an_error_of_a_tracker_is_one_warning(
 
 
 def test_a_tracker_that_cannot_be_is_refused_before_anything_is_written(
-    plan: run.Plan, in_tmp_path: Path, monkeypatch
+    plan: Plan, in_tmp_path: Path, monkeypatch
 ) -> None:
     Path("elsewhere").mkdir()  # Weights & Biases leaves such a directory, named wandb
     monkeypatch.syspath_prepend("")
@@ -265,9 +263,9 @@ def test_a_tracker_that_cannot_be_is_refused_before_anything_is_written(
         "elsewhere": "tracking with elsewhere needs pip install",
     }.items():
         with pytest.raises(UserError, match=message):
-            run.execute(plan, Path("run"), track=track)
+            toy_run.run(plan, Path("run"), track=track)
         with pytest.raises(UserError, match=message):
             sweep({"grid": [{"env": "hopper", "algorithm": "ars"}]}, "run", track=track)
     with pytest.raises(UserError, match="track needs output"):
-        run.execute(plan, track="wandb")
+        toy_run.run(plan, track="wandb")
     assert [path.name for path in Path().iterdir()] == ["elsewhere"]

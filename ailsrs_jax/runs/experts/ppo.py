@@ -16,7 +16,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments
 from ailsrs_jax.runs.experts.unit_actions import unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport
-from ailsrs_jax.trainers.parts.rollout import episode_counts, simulate
+from ailsrs_jax.trainers.parts.rollout import simulate
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
 
 
@@ -110,7 +110,7 @@ def train_ppo(
         metrics = {
             "evaluation_return": mean,
             "evaluation_length": float(episodes.lengths.mean()),
-            **jax.device_get(episode_counts(episodes)),
+            **jax.device_get(episodes.counts()),
         }
         score = mean
         if settings.stop_at:  # the distance of every episode, as good ones can make up for falls

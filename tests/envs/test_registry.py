@@ -177,5 +177,5 @@ def test_what_a_file_names_is_not_called_if_it_could_do_harm() -> None:
     for env_id in ("Hopper-v5", "own_tasks:Slider", "PointMass", "tests.point_mass:PointMass"):
         require_harmless(env_id, "policy.npz")
     for env_id in ("os:abort", "posix:_exit", "shutil:rmtree", "pip:main", "../x:y", ":", "a b:c"):
-        with pytest.raises(UserError, match=r"policy\.npz is of .* not looked up"):
+        with pytest.raises(UserError, match=r"policy\.npz names .* not imported"):
             require_harmless(env_id, "policy.npz")

@@ -15,7 +15,7 @@ from brax.training.agents.ppo import networks, train
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.divergence import EndDiverged
+from ailsrs_jax.envs.wrappers import EndDiverged
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.experts.unit_actions import UnitActions, unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport

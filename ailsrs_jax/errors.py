@@ -1,7 +1,8 @@
 """The exception that reports a user's mistake, and helpers for its message."""
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 LONGEST = 1000  # characters of a message
 
@@ -27,6 +28,33 @@ def one_line(error: Exception) -> str:
     """Return the type of ``error`` and the first line of its message."""
     text = next(iter(str(error).splitlines()), "")
     return f"{type(error).__name__}: {text if len(text) <= 300 else f'{text[:297]}...'}"
+
+
+@contextlib.contextmanager
+def refusing(problem: str) -> Iterator[None]:
+    """Turn any exception of the block into a UserError that begins with ``problem``.
+
+    It surrounds code of other libraries and of users, which may raise anything.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(f"{problem}: {one_line(error)}") from error
+
+
+def requirement(source: str) -> Callable[[bool, str], None]:
+    """Return ``require(condition, problem)``, which raises UserError if the condition is false.
+
+    The message is ``source`` and the problem.
+    """
+
+    def require(condition: bool, problem: str) -> None:
+        if not condition:
+            raise UserError(f"{source}: {problem}")
+
+    return require
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

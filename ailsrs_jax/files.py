@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, one_line, refusing
 
 MAX_JSON = 2**20  # bytes; this package's own files have a few thousand
 MAX_NAME = 200  # characters
@@ -95,16 +95,12 @@ def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, 
     Raises:
         UserError: the file is missing, damaged, or not a JSON object.
     """
-    try:
+    with refusing(f"{path} is not {what}"):
         value = json.loads(read_small(path, limit))
         if not isinstance(value, dict):
             raise ValueError("it is not a JSON object")
         # JSON can hold unpaired surrogates, which UTF-8 cannot.
         json.dumps(value, ensure_ascii=False).encode()
-    except UserError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not {what}: {one_line(error)}") from error
     return value
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 
 from ailsrs_jax.data.formats.npz import encode_npz, read_npz
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, requirement
 from ailsrs_jax.files import require_name, write_atomically
 
 REQUIRED = ("observations", "lengths", "returns", "env_id")
@@ -121,11 +121,7 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
     Raises:
         UserError: they contradict one another; the message begins with ``source``.
     """
-
-    def require(condition: bool, problem: str) -> None:
-        if not condition:
-            raise UserError(f"{source}: {problem}")
-
+    require = requirement(source)
     observations, lengths, returns, env_id = (np.asarray(fields[name]) for name in REQUIRED)
     require(observations.ndim == 3, f"observations are {observations.shape}, not (E, T, n)")
     num_episodes, num_steps = observations.shape[:2]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import refusing, requirement
 
 
 def require_env(env: Any) -> None:
@@ -17,11 +17,7 @@ def require_env(env: Any) -> None:
     without doing so.
     """
     name = env_name(env)
-
-    def require(condition: bool, problem: str) -> None:
-        if not condition:
-            raise UserError(f"{name}: {problem}")
-
+    require = requirement(name)
     require(not isinstance(env, type), "this is a class: pass an instance of it")
     missing = [member for member in ("reset", "step", "action_size") if not hasattr(env, member)]
     require(not missing, f"this is not a Brax environment: it has no {', '.join(missing)}")
@@ -36,15 +32,13 @@ def require_env(env: Any) -> None:
         )
         layer = getattr(layer, "env", None)
 
-    try:
+    with refusing(f"{name}: JAX cannot trace it"):
         state = jax.eval_shape(env.reset, jax.random.key(0))
         action = jax.ShapeDtypeStruct((env.action_size,), np.float32)
         next_state = jax.eval_shape(env.step, state, action)
         scalars = state.reward.shape, state.done.shape
         kind = type(state.obs)
         n, p = env_sizes(env) if kind is jax.ShapeDtypeStruct else (0, 0)
-    except Exception as error:  # a user's environment may raise anything
-        raise UserError(f"{name}: JAX cannot trace it: {one_line(error)}") from error
     require(n > 0, f"its observation is a {kind.__name__}: a linear policy needs a single vector")
     require(
         state.obs.shape == (n,) and jnp.issubdtype(state.obs.dtype, jnp.floating),

@@ -19,7 +19,7 @@ from ailsrs_jax.envs.tasks.humanoid import Humanoid
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.envs.tasks.swimmer import Swimmer
 from ailsrs_jax.envs.tasks.walker2d import Walker2d
-from ailsrs_jax.errors import UserError, did_you_mean, one_line
+from ailsrs_jax.errors import UserError, did_you_mean, refusing
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -144,22 +144,18 @@ def require_harmless(env_id: str, source: str) -> None:
 
 
 def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:
-    try:
-        if _takes_physics(factory):
-            flags["physics"] = physics
-        elif physics != "auto":
-            raise UserError(f"{env_id} has no parameter physics: leave '{physics}' out")
+    if _takes_physics(factory):
+        flags["physics"] = physics
+    elif physics != "auto":
+        raise UserError(f"{env_id} has no parameter physics: leave '{physics}' out")
+    if env_id in TASKS:
+        unknown = flags.keys() - inspect.signature(factory).parameters
+        if unknown:
+            raise UserError(f"{env_id} has no flag {', '.join(sorted(unknown))}")
+        return factory(**flags)
+    with refusing(env_id):
         env = factory(**flags)
-    except UserError:
-        raise
-    except Exception as error:
-        if env_id not in TASKS:  # a user's code may raise anything
-            raise UserError(f"{env_id}: {one_line(error)}") from error
-        if isinstance(error, TypeError) and "unexpected keyword" in str(error):
-            raise UserError(f"{env_id}: {str(error).split(') ', 1)[-1]}") from error
-        raise
-    if env_id not in TASKS:
-        require_env(env)
+    require_env(env)
     return env
 
 
@@ -183,9 +179,7 @@ def _factory(env_id: str) -> Callable[..., Env]:
     module_name, _, attribute = env_id.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # as for "python -m"
-    try:
+    with refusing(f"cannot find {env_id}"):
         factory = operator.attrgetter(attribute)(importlib.import_module(module_name))
         inspect.signature(factory)
-    except Exception as error:  # a user's module may raise anything
-        raise UserError(f"cannot find {env_id}: {one_line(error)}") from error
     return factory

@@ -58,8 +58,8 @@ WRONG = {
     "actions hold NaN or infinity": {"actions": np.full((3, 5, 2), np.inf)},
     "observations are not floating-point numbers": {"observations": np.zeros((3, 5, 4), int)},
     "env_id is not a single string": {"env_id": np.array([1, 2])},
-    "stride is not a single integer": {"stride": np.array(0)},
-    "stride is not a single integer from 1 on": {"stride": np.array(1.5)},
+    "stride is not a single positive": {"stride": np.array(0)},
+    "stride is not a single positive integer": {"stride": np.array(1.5)},
     "pickled objects": {"observations": np.array([[object()]])},
 }
 

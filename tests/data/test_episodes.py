@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.episodes import make_episode, stack
+from ailsrs_jax.data.episodes import stack
+from ailsrs_jax.data.formats.episodes import make_episode
 from ailsrs_jax.errors import UserError
 
 

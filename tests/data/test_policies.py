@@ -97,7 +97,7 @@ WRONG_MLP = {
     "mean is (4,), not (2,)": {"mean": np.ones(4)},
     "action_std is (2,), not (1,)": {"action_std": np.ones(2)},
     "weights_1 is not made of finite": {"weights_1": np.full((1, 4), np.inf)},
-    "weights are (0, 2): there is nothing in them": {"weights_0": np.ones((0, 2))},
+    "weights are (0, 2): they are empty": {"weights_0": np.ones((0, 2))},
 }
 
 

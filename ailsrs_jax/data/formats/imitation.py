@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ailsrs_jax.data.formats.episodes import Dataset, longest_length, make_episode
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.files import read_json_object, require_file
 
 COLUMNS = ("obs", "acts", "rews", "terminal")  # "infos" is jsonpickle, and is never decoded
@@ -77,7 +77,7 @@ def _rows(directory: Path) -> Iterator[dict[str, np.ndarray]]:
             "that names its files"
         ) from error
     for name in names:
-        try:
+        with refusing(f"{directory} is damaged: {name}"):
             if not (directory / name).is_file():
                 raise UserError(f"{directory} has no file {name}")
             with pa.memory_map(str(directory / name)) as file:
@@ -91,10 +91,6 @@ def _rows(directory: Path) -> Iterator[dict[str, np.ndarray]]:
                     )
                 for index in range(table.num_rows):
                     yield {column: _array(table[column][index]) for column in COLUMNS}
-        except UserError:
-            raise
-        except Exception as error:  # Arrow raises many types of exception for damaged files
-            raise UserError(f"{directory} is damaged: {name}: {one_line(error)}") from error
 
 
 def _array(cell: Any) -> np.ndarray:

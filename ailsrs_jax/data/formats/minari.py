@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from ailsrs_jax.data.formats.episodes import Dataset, Episode, longest_length, make_episode
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.files import read_json_object, require_file, require_plausible
 
 # Arguments of a task's constructor that change neither observations, actions nor rewards.
@@ -34,19 +34,15 @@ def read_minari(dataset_id: str, env_id: str, num_trajectories: int | None) -> D
     """
     source = f"minari:{dataset_id}"
     minari = _import_minari()
-    try:
+    with refusing(f"cannot load {source}"):
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)  # before it is part of a path
         directory = minari.storage.get_dataset_path(dataset_id)
         if not directory.exists():
             minari.download_dataset(dataset_id)
         _require_harmless(directory / "data", source)
         dataset = minari.load_dataset(dataset_id)
-    except UserError:
-        raise
-    except Exception as error:  # the network's, the server's, or that of a damaged dataset
-        raise UserError(f"cannot load {source}: {one_line(error)}") from error
     episodes, num_left_out = [], 0
-    try:
+    with refusing(f"{source} is damaged"):
         limit = _time_limit(dataset, env_id, source)
         for index, data in enumerate(dataset.iterate_episodes()):
             where = f"{source}: episode {index}"
@@ -60,10 +56,6 @@ def read_minari(dataset_id: str, env_id: str, num_trajectories: int | None) -> D
                 num_left_out += 1
             if len(episodes) == num_trajectories:
                 break
-    except UserError:
-        raise
-    except Exception as error:  # HDF5 raises many types of exception for damaged files
-        raise UserError(f"{source} is damaged: {one_line(error)}") from error
     longest = longest_length(episodes, num_left_out, source)
     return Dataset(episodes, limit or 2 * longest, num_left_out)
 

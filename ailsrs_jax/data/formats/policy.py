@@ -10,7 +10,7 @@ import numpy as np
 from ailsrs_jax.data.formats.npz import encode_npz, read_npz
 from ailsrs_jax.data.formats.onnx import encode_onnx
 from ailsrs_jax.data.formats.safetensors import encode_safetensors, read_safetensors
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, requirement
 from ailsrs_jax.files import require_name
 
 # The arrays that the file of any policy holds. A linear policy's file also holds ``weights``; a
@@ -65,10 +65,7 @@ def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
     arrays = read(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_ARRAYS))
     env_id = arrays.pop("env_id")
 
-    def require(condition: bool, problem: str) -> None:
-        if not condition:
-            raise UserError(f"{path}: {problem}")
-
+    require = requirement(str(path))
     weights, others = ["weights"], []
     if "weights" not in arrays:
         layers = range(sum(name.startswith("weights_") for name in arrays))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.data.formats.npz import present
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import refusing
 from ailsrs_jax.files import require_file
 
 
@@ -30,14 +30,10 @@ def read_safetensors(
     from safetensors import safe_open
 
     require_file(path)
-    try:
-        with safe_open(path, framework="numpy") as file:
-            text = {name: np.array(value) for name, value in (file.metadata() or {}).items()}
-            names = present({*file.keys(), *text}, fields, optional, path, what)
-            return {name: text[name] if name in text else file.get_tensor(name) for name in names}
-    except UserError:
-        raise
-    except Exception as error:  # the library's, or NumPy's
-        raise UserError(
-            f"{path} is not a .safetensors file of {what}: {one_line(error)}"
-        ) from error
+    with (
+        refusing(f"{path} is not a .safetensors file of {what}"),
+        safe_open(path, framework="numpy") as file,
+    ):
+        text = {name: np.array(value) for name, value in (file.metadata() or {}).items()}
+        names = present({*file.keys(), *text}, fields, optional, path, what)
+        return {name: text[name] if name in text else file.get_tensor(name) for name in names}

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ailsrs_jax.data.formats.imitation import load_imitation, require_no_pickle
+from ailsrs_jax.data.episodes import load_imitation
+from ailsrs_jax.data.formats.imitation import require_no_pickle
 from ailsrs_jax.errors import UserError
 
 pyarrow = pytest.importorskip("pyarrow")

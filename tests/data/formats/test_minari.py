@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.data.episodes import Recording
-from ailsrs_jax.data.formats.minari import load_minari, save_minari
+from ailsrs_jax.data.episodes import Recording, load_minari, save_minari
 from ailsrs_jax.errors import UserError
 
 minari = pytest.importorskip("minari")
@@ -105,7 +104,7 @@ def test_of_ones_own_task_by_somebody_else() -> None:
     loaded, num_left_out = load_minari("own/slider-v0", "my_tasks:Slider")
     assert (loaded.env_id, num_left_out) == ("my_tasks:Slider", 0)
     assert loaded.observations.shape == (1, 6, 2)
-    with pytest.raises(UserError, match="does not say which environment"):
+    with pytest.raises(UserError, match="does not name its environment"):
         load_minari("own/slider-v0", "Hopper-v5")
 
 
@@ -160,16 +159,16 @@ WRONG = {
     "is of Walker2d-v5, not of Hopper-v5": lambda: write(
         env=gymnasium.make("Walker2d-v5", max_episode_steps=TIME_LIMIT)
     ),
-    "is of Hopper-v5 with healthy_reward=2.0: only": lambda: write(
+    "is of Hopper-v5 with healthy_reward=2.0: it must": lambda: write(
         episode(), env=gymnasium.make("Hopper-v5", healthy_reward=2.0)
     ),
     "with exclude_current_positions_from_observation=False": lambda: write(
         env=gymnasium.make("Hopper-v5", exclude_current_positions_from_observation=False)
     ),
-    "with NormalizeObservation: only": lambda: write(
+    "with NormalizeObservation: it must": lambda: write(
         episode(), env=gymnasium.wrappers.NormalizeObservation(gymnasium.make("Hopper-v5"))
     ),
-    "does not say which environment": lambda: write_without_environment(),
+    "does not name its environment": lambda: write_without_environment(),
     "its observation_space is Dict": lambda: write(
         observation_space=gymnasium.spaces.Dict({"position": gymnasium.spaces.Box(-1, 1)})
     ),
@@ -238,7 +237,7 @@ def test_code_that_a_dataset_names_is_not_run(datasets: Path) -> None:
     metadata["env_spec"] = json.dumps(spec)
     del metadata["observation_space"]
     path.write_text(json.dumps(metadata))
-    with pytest.raises(UserError, match="does not say what its observation_space is"):
+    with pytest.raises(UserError, match="does not define its observation_space"):
         load_minari("hopper/test-v0", "Hopper-v5")
     assert not (datasets / "made").exists()
     with contextlib.suppress(Exception):  # whatever Gymnasium finds wrong then
@@ -329,10 +328,12 @@ def test_datasets_that_cannot_be_made(datasets: Path, monkeypatch: pytest.Monkey
     )
     for message, call in {
         "hopper/ours-v0 exists": lambda: save_minari(recording, "hopper/ours-v0"),
-        "as hopper/mine-v0 is, not hopper v0": lambda: save_minari(recording, "hopper v0"),
-        "as hopper/mine-v0 is, not hopper": lambda: save_minari(recording, "hopper"),
-        "holds every step": lambda: save_minari(states_alone, "hopper/other-v0"),
-        "not of PointMass: write a .npz": lambda: save_minari(own, "hopper/other-v0"),
+        "hopper v0 is not the name of a Minari dataset": lambda: save_minari(
+            recording, "hopper v0"
+        ),
+        "use one like hopper/mine-v0": lambda: save_minari(recording, "hopper"),
+        "needs the action of every step": lambda: save_minari(states_alone, "hopper/other-v0"),
+        "not PointMass: write a .npz": lambda: save_minari(own, "hopper/other-v0"),
     }.items():
         with pytest.raises(UserError) as caught:
             call()

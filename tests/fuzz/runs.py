@@ -1,16 +1,16 @@
-"""Damaged files of a run: configuration, metrics, checkpoints, and what is made of them."""
+"""Damaged files of a run: configuration, metrics, checkpoints, and what is read from all."""
 
 import contextlib
-import json
 import os
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hypothesis import strategies as st
 
 from ailsrs_jax.errors import UserError
-from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutated_json
+from tests.fuzz.damage import damaged_bytes, write_damaged
 
 
 def config() -> Any:
@@ -31,56 +31,31 @@ def config() -> Any:
     )
 
 
-def read_config(path: Path) -> object:
-    from ailsrs_jax.runs.storage import config as configs
-
-    return config().require_same(configs.read_config(path), path)
-
-
-def make_config(path: Path, rng: Rng) -> None:
-    path.write_bytes(mutated_json(config().as_json(), rng))
-
-
-def make_metrics(path: Path, rng: Rng) -> None:
-    rows: list[list[Any]] = [["iteration", "seed", "env_steps", "evaluation_return"]]
-    rows += [[i, seed, 80 * i, rng.random()] for i in range(4) for seed in (0, 5)]
-    make_csv(rows, path, rng)
-
-
-def read_metrics(path: Path) -> object:
-    from ailsrs_jax.runs.storage import metrics
-
-    with contextlib.suppress(UserError):  # one of its readers is enough to refuse it
-        metrics.MetricsFile(path, (0, 5), 3)
-    return metrics.read_metrics(path)
-
-
-def make_run(path: Path, rng: Rng) -> None:
-    """What ``ailsrs report`` reads of a run, its configuration or its metrics damaged."""
-    path.mkdir()
+def make_run(draw: st.DrawFn, path: Path) -> None:
+    """The files of a run that ``ailsrs report`` reads."""
     columns = ["iteration", "seed", "env_steps", "evaluation_return", "expert_distance"]
-    rows = [columns, *([i, seed, 80 * i, 1.5, rng.random()] for i in range(4) for seed in (0, 5))]
-    whole = json.dumps(config().as_json()).encode()
-    damaged = mutated_json(config().as_json(), rng) if rng.random() < 0.6 else whole
-    (path / "config.json").write_bytes(damaged)
-    make_csv(rows, path / "metrics.csv", rng)
+    rows = [columns, *([i, seed, 80 * i, 1.5, 0.3 * i] for i in range(4) for seed in (0, 5))]
+    write_damaged(draw, path, {"config.json": config().as_json(), "metrics.csv": rows})
 
 
-def read_card(path: Path) -> object:
+def read_files_of_run(path: Path) -> object:
+    """Read the run with every function that reads it."""
     from ailsrs_jax.data.policies import expert_path, load_policy
     from ailsrs_jax.runs.evaluation import Evaluation
+    from ailsrs_jax.runs.storage.config import read_config
+    from ailsrs_jax.runs.storage.metrics import MetricsFile
+    from ailsrs_jax.runs.storage.saved_run import read_run
     from ailsrs_jax.show.model_card import find_origin, model_card
 
     policy = load_policy(expert_path("Swimmer-v5"))
     origin = find_origin(policy, path / "seed_5" / "policy.npz")
     card = model_card(policy, Evaluation(np.ones(2), np.ones(2)), "here", origin, "mit")
     assert all(line.isprintable() for line in card.split("\n"))
-    return card.encode()
-
-
-def read_saved_run(path: Path) -> object:
-    from ailsrs_jax.runs.storage.saved_run import read_run
-
+    card.encode()
+    with contextlib.suppress(UserError):
+        config().require_same(read_config(path / "config.json"), path)
+    with contextlib.suppress(UserError):
+        MetricsFile(path / "metrics.csv", (0, 5), 3)
     run = read_run(path)
     return run.kept_iterations, run.command(), run.changed_settings()
 
@@ -89,8 +64,8 @@ def checkpoint_state() -> Any:
     return {"weights": np.arange(12.0).reshape(3, 4), "steps": np.array([3])}
 
 
-def make_checkpoints(path: Path, rng: Rng) -> None:
-    """The newest of two is damaged, half of the time with hashes that match the damage."""
+def make_checkpoints(draw: st.DrawFn, path: Path) -> None:
+    """Two checkpoints; the newest is damaged, half of the time with hashes that match."""
     from ailsrs_jax.runs.storage import checkpoint
 
     original = Path(os.environ["MINARI_DATASETS_PATH"]) / "checkpoints"
@@ -101,16 +76,16 @@ def make_checkpoints(path: Path, rng: Rng) -> None:
     shutil.copytree(original, path)
     newest = path / "2"
     files = [file for file in sorted(newest.rglob("*")) if file.is_file()]
-    for file in rng.sample(files, rng.choice([1, 1, 2])):
-        match rng.randrange(5):
+    for file in draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True)):
+        match draw(st.integers(0, 4)):
             case 0:
                 file.unlink()
             case 1:
-                other = rng.choice([other for other in files if other.exists()])
-                file.write_bytes(other.read_bytes())
+                shutil.copyfile(draw(st.sampled_from([x for x in files if x.exists()])), path / "x")
+                (path / "x").replace(file)
             case _:
-                file.write_bytes(mutate_bytes(file.read_bytes(), rng))
-    if rng.random() < 0.5:
+                file.write_bytes(draw(damaged_bytes(file.read_bytes())))
+    if draw(st.booleans()):
         (newest / checkpoint.HASHES).write_text(checkpoint._hashes(newest))
 
 

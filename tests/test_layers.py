@@ -8,7 +8,7 @@ import pytest
 import ailsrs_jax
 
 PACKAGE = Path(ailsrs_jax.__file__).parent
-GROUND = {"errors", "files", "versions"}
+GROUND = {"errors", "files", "own_code", "versions"}
 BELOW_TRAINERS = {"components", "envs", "data"}
 ALLOWED = {
     "components": {"components"},

@@ -1,9 +1,7 @@
 """Tasks by name."""
 
 import functools
-import importlib
 import inspect
-import operator
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +18,7 @@ from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.envs.tasks.swimmer import Swimmer
 from ailsrs_jax.envs.tasks.walker2d import Walker2d
 from ailsrs_jax.errors import UserError, did_you_mean, refusing
+from ailsrs_jax.own_code import is_own, load_own
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -56,7 +55,7 @@ def resolve_env_id(name: str) -> str:
     for env_id in TASKS:
         if name in (env_id, short_name(env_id)):
             return env_id
-    if ":" in name:
+    if is_own(name):
         return name
     known = ", ".join(map(short_name, TASKS))
     similar = did_you_mean(name, TASKS if name[:1].isupper() else map(short_name, TASKS))
@@ -126,7 +125,7 @@ def require_harmless(env_id: str, source: str) -> None:
     harmful, so it must name one of this package's tasks, something in the current directory, or the
     class of an environment.
     """
-    if env_id in TASKS or ":" not in env_id:
+    if env_id in TASKS or not is_own(env_id):
         return
     parts = env_id.partition(":")[0].split(".")
     path = Path.cwd().joinpath(*parts)
@@ -173,13 +172,10 @@ def _engine(env: Env) -> str:
 
 
 def _factory(env_id: str) -> Callable[..., Env]:
-    """Return the callable that makes the task; ``module`` may be in the current directory."""
+    """Return the class or function that makes the task."""
     if env_id in TASKS:
         return TASKS[env_id]
-    module_name, _, attribute = env_id.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # as for "python -m"
-    with refusing(f"cannot find {env_id}"):
-        factory = operator.attrgetter(attribute)(importlib.import_module(module_name))
+    factory = load_own(env_id)
+    with refusing(f"cannot call {env_id}"):
         inspect.signature(factory)
     return factory

@@ -120,11 +120,12 @@ def test_an_environment_is_built_once_until_its_module_changes() -> None:
 
 
 REFUSED = {
-    "nowhere:Slider": "No module named 'nowhere'",
+    "nowhere:Slider": "cannot find nowhere:Slider: there is no module nowhere here",
     "syntax:Slider": "SyntaxError",
-    ":Slider": "cannot find :Slider: ValueError",
-    "own_tasks:Glider": "has no attribute 'Glider'",
-    "own_tasks:": "has no attribute ''",
+    ":Slider": "cannot import :Slider: .py, line 1: ValueError",
+    "sys:Slider": "sys, line 1: there is no 'Slider'",
+    "own_tasks:Glider": "own_tasks.py, line 1: there is no 'Glider' (did you mean Slider?)",
+    "own_tasks:": "own_tasks.py, line 1: there is no ''",
     "own_tasks:number": "3 is not a callable object",
     "own_tasks:broken": "own_tasks:broken: KeyError: 'no",
     "own_tasks:nothing": "NoneType: this is not a Brax environment",

@@ -15,6 +15,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from ailsrs_jax.data.formats.episodes import Dataset, Episode, longest_length, make_episode
 from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.files import read_json_object, require_file, require_plausible
+from ailsrs_jax.own_code import is_own
 
 # Arguments of a task's constructor that change neither observations, actions nor rewards.
 RENDERING = {
@@ -63,7 +64,7 @@ def read_minari(dataset_id: str, env_id: str, num_trajectories: int | None) -> D
 def require_new_minari(dataset_id: str, env_id: str) -> None:
     """Raise UserError unless such a dataset can be made; called before a long run."""
     minari = _import_minari()
-    if env_id not in gymnasium.registry and not _is_own(env_id):
+    if env_id not in gymnasium.registry and not is_own(env_id):
         raise UserError(
             f"a Minari dataset needs an environment of Gymnasium's or module:attribute, not "
             f"{env_id}: write a .npz file instead"
@@ -94,7 +95,7 @@ def write_minari(
     require_new_minari(dataset_id, env_id)
     minari = _import_minari()
     env: EnvSpec | gymnasium.Env[Any, Any]
-    if _is_own(env_id):
+    if is_own(env_id):
         env = gymnasium.Env()  # Minari reads only its spec and its spaces
         env.spec = EnvSpec(env_id, max_episode_steps=time_limit)
         sizes = episodes[0].observations.shape[1], episodes[0].actions.shape[1]
@@ -169,15 +170,10 @@ def _import_minari() -> Any:
     return minari
 
 
-def _is_own(env_id: str) -> bool:
-    """Whether ``env_id`` is ``module:attribute``; no module is imported."""
-    return ":" in env_id
-
-
 def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
     """Check that the dataset is of ``env_id``, and return the time limit in steps, if any."""
     spec = dataset.env_spec
-    if spec is None and not _is_own(env_id):
+    if spec is None and not is_own(env_id):
         raise UserError(f"{source} does not name its environment")
     if spec is not None:
         _require_same_task(spec, env_id, source)
@@ -192,7 +188,7 @@ def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
 def _require_same_task(spec: EnvSpec, env_id: str, source: str) -> None:
     if spec.id != env_id:
         raise UserError(f"{source} is of {spec.id}, not of {env_id}")
-    if _is_own(env_id):
+    if is_own(env_id):
         return
     if env_id not in gymnasium.registry:
         raise UserError(f"{source}: Gymnasium has no environment {env_id}")

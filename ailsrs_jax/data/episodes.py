@@ -1,7 +1,7 @@
 """Demonstrations from and to the datasets of other libraries, which hold whole episodes."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +43,11 @@ def load_minari(
         UserError: Minari is not installed, has no such dataset or cannot read it, it is of another
             environment, or its contents contradict one another.
     """
-    dataset = read_minari(dataset_id, env_id, num_trajectories)
     source = f"minari:{dataset_id}"
-    return stack(dataset.episodes, dataset.time_limit, env_id, source), dataset.num_left_out
+    time_limit, pairs = read_minari(dataset_id, env_id)
+    episodes, num_left_out = _collect(pairs, num_trajectories, source)
+    num_steps = time_limit or 2 * max(episode.length for episode in episodes)
+    return stack(episodes, num_steps, env_id, source), num_left_out
 
 
 def save_minari(recording: Recording, dataset_id: str) -> None:
@@ -96,9 +98,10 @@ def load_imitation(
         UserError: it is not such a directory, pyarrow is not installed, or the contents contradict
             one another.
     """
-    dataset = read_imitation(Path(directory), num_trajectories)
-    demonstrations = stack(dataset.episodes, dataset.time_limit, env_id, str(directory))
-    return demonstrations, dataset.num_left_out
+    pairs = read_imitation(Path(directory))
+    episodes, num_left_out = _collect(pairs, num_trajectories, str(directory))
+    longest = max(episode.length for episode in episodes)
+    return stack(episodes, longest, env_id, str(directory)), num_left_out
 
 
 def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str) -> Demonstrations:
@@ -127,3 +130,20 @@ def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str)
         "env_id": env_id,
     }
     return validated(fields, source)
+
+
+def _collect(
+    pairs: Iterable[tuple[Episode, bool]], num_trajectories: int | None, source: str
+) -> tuple[list[Episode], int]:
+    """Return the first whole episodes, and the number of cut-off ones among them."""
+    episodes, num_left_out = [], 0
+    for episode, is_whole in pairs:
+        if is_whole:
+            episodes.append(episode)
+        else:
+            num_left_out += 1
+        if len(episodes) == num_trajectories:
+            break
+    if not episodes:
+        raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
+    return episodes, num_left_out

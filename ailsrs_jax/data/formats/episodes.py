@@ -1,6 +1,5 @@
 """Whole episodes, which other libraries' formats hold."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,14 +18,6 @@ class Episode(NamedTuple):
     def length(self) -> int:
         """The number of steps, L."""
         return len(self.actions)
-
-
-class Dataset(NamedTuple):
-    """The whole episodes of a dataset."""
-
-    episodes: list[Episode]
-    time_limit: int  # steps, at least the length of the longest episode
-    num_left_out: int  # episodes that were cut off
 
 
 def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> Episode:
@@ -54,14 +45,3 @@ def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> E
             raise UserError(f"{where}: {name} are {array.dtype}, not floating-point numbers")
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused later
         return Episode(observations.astype(np.float32), actions.astype(np.float32), rewards)
-
-
-def longest_length(episodes: Sequence[Episode], num_left_out: int, source: str) -> int:
-    """Return the length of the longest episode.
-
-    Raises:
-        UserError: there are no episodes; the message also gives the number of those left out.
-    """
-    if not episodes:
-        raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
-    return max(episode.length for episode in episodes)

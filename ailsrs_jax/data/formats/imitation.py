@@ -7,35 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.data.formats.episodes import Dataset, longest_length, make_episode
+from ailsrs_jax.data.formats.episodes import Episode, make_episode
 from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.files import read_json_object, require_file
 
 COLUMNS = ("obs", "acts", "rews", "terminal")  # "infos" is jsonpickle, and is never decoded
 
 
-def read_imitation(directory: Path, num_trajectories: int | None) -> Dataset:
-    """Read the whole episodes of a directory; see :func:`~ailsrs_jax.load_imitation`.
+def read_imitation(directory: Path) -> Iterator[tuple[Episode, bool]]:
+    """Yield each trajectory, and whether it is a whole episode.
 
     Raises:
-        UserError: it is not such a directory, pyarrow is not installed, or the contents contradict
-            one another.
+        UserError: see :func:`~ailsrs_jax.load_imitation`.
     """
-    episodes, num_left_out = [], 0
     for index, row in enumerate(_rows(directory)):
         where = f"{directory}: trajectory {index}"
         terminal = row["terminal"]
         if terminal.shape != () or terminal.dtype != bool:
             raise UserError(f"{where}: terminal is neither true nor false")
-        episode = make_episode(row["obs"], row["acts"], row["rews"], where)
-        if terminal:
-            episodes.append(episode)
-        else:
-            num_left_out += 1
-        if len(episodes) == num_trajectories:
-            break
-    longest = longest_length(episodes, num_left_out, str(directory))
-    return Dataset(episodes, longest, num_left_out)
+        yield make_episode(row["obs"], row["acts"], row["rews"], where), bool(terminal)
 
 
 def require_no_pickle(path: Path) -> None:

@@ -4,7 +4,7 @@ import copy
 import inspect
 import shutil
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
-from ailsrs_jax.data.formats.episodes import Dataset, Episode, longest_length, make_episode
+from ailsrs_jax.data.formats.episodes import Episode, make_episode
 from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.files import read_json_object, require_file, require_plausible
 from ailsrs_jax.own_code import is_own
@@ -26,12 +26,14 @@ RENDERING = {
 LONGEST_TIME_LIMIT = 10_000  # steps; some datasets state 10⁹, which means that there is no limit
 
 
-def read_minari(dataset_id: str, env_id: str, num_trajectories: int | None) -> Dataset:
-    """Read the whole episodes of a dataset; see :func:`~ailsrs_jax.load_minari`.
+def read_minari(dataset_id: str, env_id: str) -> tuple[int | None, Iterator[tuple[Episode, bool]]]:
+    """Open a dataset, after downloading it if necessary.
+
+    Returns:
+        the time limit, if any, and an iterator over each episode and whether it is whole.
 
     Raises:
-        UserError: Minari is not installed, has no such dataset or cannot read it, it is of another
-            environment, or its contents contradict one another.
+        UserError: see :func:`~ailsrs_jax.load_minari`; the iterator raises it as well.
     """
     source = f"minari:{dataset_id}"
     minari = _import_minari()
@@ -42,23 +44,20 @@ def read_minari(dataset_id: str, env_id: str, num_trajectories: int | None) -> D
             minari.download_dataset(dataset_id)
         _require_harmless(directory / "data", source)
         dataset = minari.load_dataset(dataset_id)
-    episodes, num_left_out = [], 0
     with refusing(f"{source} is damaged"):
         limit = _time_limit(dataset, env_id, source)
+    return limit, _episodes(dataset, limit, source)
+
+
+def _episodes(dataset: Any, limit: int | None, source: str) -> Iterator[tuple[Episode, bool]]:
+    with refusing(f"{source} is damaged"):
         for index, data in enumerate(dataset.iterate_episodes()):
             where = f"{source}: episode {index}"
             episode = make_episode(data.observations, data.actions, data.rewards, where)
             length = episode.length
             if limit is not None and length > limit:
                 raise UserError(f"{where} has {length} steps, more than the time limit, {limit}")
-            if length == limit or bool(np.ravel(data.terminations)[-1]):
-                episodes.append(episode)
-            else:
-                num_left_out += 1
-            if len(episodes) == num_trajectories:
-                break
-    longest = longest_length(episodes, num_left_out, source)
-    return Dataset(episodes, limit or 2 * longest, num_left_out)
+            yield episode, length == limit or bool(np.ravel(data.terminations)[-1])
 
 
 def require_new_minari(dataset_id: str, env_id: str) -> None:

@@ -25,35 +25,30 @@ def encode_onnx(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -
     """
     import onnx
 
-    constants = {name: arrays[name] for name in ("mean", "std", "action_low", "action_high")}
-    linear = arrays.get("weights")
-    layers = (
-        [(linear, np.zeros_like(linear[:, 0]))]
-        if linear is not None
-        else [
-            (arrays[f"weights_{i}"], arrays[f"biases_{i}"])
-            for i in range(sum(name.startswith("weights_") for name in arrays))
-        ]
-    )
+    if "weights" in arrays:
+        weights = arrays["weights"]
+        arrays = {**arrays, "weights_0": weights, "biases_0": np.zeros_like(weights[:, 0])}
+    num_layers = sum(name.startswith("weights_") for name in arrays)
+    used = ["mean", "std", "action_low", "action_high"]
     nodes = [
         onnx.helper.make_node("Sub", [INPUT, "mean"], ["centred"]),
         onnx.helper.make_node("Div", ["centred", "std"], ["hidden_0"]),
     ]
-    for index, (weights, biases) in enumerate(layers):
+    for index in range(num_layers):
         hidden, names = f"hidden_{index}", (f"weights_{index}", f"biases_{index}")
         if index > 0:
             nodes.append(onnx.helper.make_node("Tanh", [hidden], [f"tanh_{index}"]))
             hidden = f"tanh_{index}"
         output = f"hidden_{index + 1}"
         nodes.append(onnx.helper.make_node("Gemm", [hidden, *names], [output], transB=1))
-        constants |= dict(zip(names, (weights, biases)))
+        used += names
     # ONNX's Clip supports only one range for all actions.
     nodes += [
-        onnx.helper.make_node("Max", [f"hidden_{len(layers)}", "action_low"], ["above_low"]),
+        onnx.helper.make_node("Max", [f"hidden_{num_layers}", "action_low"], ["above_low"]),
         onnx.helper.make_node("Min", ["above_low", "action_high"], [OUTPUT]),
     ]
     with np.errstate(over="ignore", under="ignore"):
-        constants = {name: np.asarray(array, np.float32) for name, array in constants.items()}
+        constants = {name: np.asarray(arrays[name], np.float32) for name in used}
     finite = all(np.isfinite(array).all() for array in constants.values())
     if not finite or not constants["std"].all():
         raise UserError(

@@ -1,6 +1,7 @@
 """Objects from a user's own files, named ``module:attribute``, and the errors in these files."""
 
 import contextlib
+import functools
 import importlib
 import inspect
 import operator
@@ -42,6 +43,20 @@ def load_own(name: str) -> Any:
         raise UserError(
             f"{getattr(module, '__file__', module_name)}, line 1: there is no '{attribute}'{hint}"
         ) from error
+
+
+def own_function(name: str) -> Callable[..., Any]:
+    """Return the function ``module:attribute``, whose exceptions become UserErrors."""
+    function = load_own(name)
+    if not callable(function):
+        raise UserError(f"{name} is a {type(function).__name__}: it must be a function")
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        with blamed_on(name, function):
+            return function(*arguments)
+
+    return call
 
 
 @contextlib.contextmanager

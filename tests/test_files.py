@@ -27,7 +27,7 @@ def test_a_pipe_is_refused_without_blocking(tmp_path: Path) -> None:
 
     def read() -> None:
         try:
-            open_source(tmp_path / "pipe.npz", "Hopper-v5", None)
+            open_source(tmp_path / "pipe.npz", "Hopper-v5")
         except UserError as error:
             errors.append(str(error))
 

@@ -51,7 +51,7 @@ def make_imitation(draw: st.DrawFn, path: Path) -> None:
 def read_imitation(path: Path) -> object:
     from ailsrs_jax.data.sources import open_source
 
-    demonstrations = open_source(path, "Hopper-v5", None).demonstrations
+    demonstrations, _ = open_source(path, "Hopper-v5")
     assert np.isfinite(demonstrations.observations).all()
     return demonstrations
 

@@ -14,8 +14,9 @@ from tests.fuzz.damage import damaged_bytes, write_damaged
 
 
 def config() -> Any:
+    from ailsrs_jax.data.sources import Source
     from ailsrs_jax.runs.storage.config import RunConfig
-    from ailsrs_jax.trainers.presets import preset_settings
+    from ailsrs_jax.trainers.algorithms import preset_settings
 
     return RunConfig(
         env_id="Swimmer-v5",
@@ -25,7 +26,7 @@ def config() -> Any:
         preset="tuned",
         settings=preset_settings("Swimmer-v5", "tuned"),
         num_trajectories=10,
-        demonstrations="of nobody",
+        source=Source("file", "nobody's.npz"),
         demonstrations_sha256="0" * 64,
         subsample=1,
     )
@@ -35,7 +36,13 @@ def make_run(draw: st.DrawFn, path: Path) -> None:
     """The files of a run that ``ailsrs report`` reads."""
     columns = ["iteration", "seed", "env_steps", "evaluation_return", "expert_distance"]
     rows = [columns, *([i, seed, 80 * i, 1.5, 0.3 * i] for i in range(4) for seed in (0, 5))]
-    write_damaged(draw, path, {"config.json": config().as_json(), "metrics.csv": rows})
+    result = {
+        "command": "ailsrs train swimmer",
+        "expert_return": {"mean": 1.0, "std": 0.0},
+        "seeds": {"5": {"kept_iteration": 2, "score": -0.5}},
+    }
+    files = {"config.json": config().as_json(), "metrics.csv": rows, "result.json": result}
+    write_damaged(draw, path, files)
 
 
 def read_files_of_run(path: Path) -> object:
@@ -43,7 +50,7 @@ def read_files_of_run(path: Path) -> object:
     from ailsrs_jax.data.policies import expert_path, load_policy
     from ailsrs_jax.runs.evaluation import Evaluation
     from ailsrs_jax.runs.storage.config import read_config
-    from ailsrs_jax.runs.storage.metrics import MetricsFile
+    from ailsrs_jax.runs.storage.metrics import CsvFile
     from ailsrs_jax.runs.storage.saved_run import read_run
     from ailsrs_jax.show.model_card import find_origin, model_card
 
@@ -55,9 +62,9 @@ def read_files_of_run(path: Path) -> object:
     with contextlib.suppress(UserError):
         config().require_same(read_config(path / "config.json"), path)
     with contextlib.suppress(UserError):
-        MetricsFile(path / "metrics.csv", (0, 5), 3)
+        CsvFile(path / "metrics.csv", [(i, seed) for i in range(3) for seed in (0, 5)])
     run = read_run(path)
-    return run.kept_iterations, run.command(), run.changed_settings()
+    return run.kept_iterations, run.command, run.expert_return, run.changed_settings()
 
 
 def checkpoint_state() -> Any:

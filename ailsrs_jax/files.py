@@ -105,7 +105,7 @@ def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, 
 
 
 def require_plausible(size: int, file_size: int, source: str) -> None:
-    """Raise UserError if ``file_size`` bytes would unpack to so many that they fill the memory.
+    """Raise UserError if ``file_size`` bytes would unpack to implausibly many, ``size``.
 
     Measured numbers compress to about half their size. The zeros after the ends of short episodes
     compress much more, but only a decompression bomb consists of nothing else and is that large.

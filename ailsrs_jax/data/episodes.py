@@ -34,7 +34,7 @@ def load_minari(
         dataset_id: for example ``mujoco/hopper/expert-v0``.
         env_id: the dataset's environment: one of Gymnasium's, with its default arguments; or your
             own task, ``module:attribute``, which the dataset need not name.
-        num_trajectories: read at most so many whole episodes, the first ones.
+        num_trajectories: the maximum number of whole episodes to read.
 
     Returns:
         the demonstrations, and the number of episodes that were left out.
@@ -89,7 +89,7 @@ def load_imitation(
     Args:
         directory: as ``imitation.data.serialize.save`` writes it, with rewards.
         env_id: the environment of the trajectories.
-        num_trajectories: read at most so many whole episodes, the first ones.
+        num_trajectories: the maximum number of whole episodes to read.
 
     Returns:
         the demonstrations, and the number of trajectories that were left out.

@@ -1,4 +1,4 @@
-"""Damaged files of a run: configuration, metrics, checkpoints, and what is read from all."""
+"""Damaged files of a run: configuration, metrics, results and checkpoints."""
 
 import contextlib
 import os

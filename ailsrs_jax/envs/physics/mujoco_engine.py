@@ -120,7 +120,7 @@ class MujocoPhysics:
         return ~((states[:, 0] > due) & np.all(np.abs(moving) <= mujoco.mjMAXVAL, axis=1))
 
     def _rows(self, full_state: np.ndarray, readings: Readings) -> tuple[np.ndarray, Readings]:
-        """One row for each simulation: views, so that what is written reaches the arguments."""
+        """Reshape to one row for each simulation; the rows are views of the arguments."""
         return full_state.reshape(-1, self._state_size), {
             name: values.reshape(-1, *self._reading_shapes[name])
             for name, values in readings.items()

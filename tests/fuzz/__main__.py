@@ -7,9 +7,8 @@ stays in pytest's temporary directory.
 
 import argparse
 import os
+import subprocess
 import sys
-
-import pytest
 
 from tests.fuzz.readers import READERS
 
@@ -19,14 +18,15 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=10, help="multiplies the number of inputs")
     parser.add_argument("--reader", choices=READERS, nargs="*", default=list(READERS))
     arguments = parser.parse_args()
-    os.environ["FUZZ_SCALE"] = str(arguments.scale)
+    environment = os.environ | {"FUZZ_SCALE": str(arguments.scale)}
     # The thread method also ends a reader that hangs in C code.
     options = [f"--timeout={300 * arguments.scale}", "--timeout-method=thread"]
     tests = [
         f"tests/test_fuzz.py::test_damaged_files_give_a_value_or_one_line[{name}]"
         for name in arguments.reader
     ]
-    sys.exit(pytest.main([*options, *tests]))
+    command = [sys.executable, "-m", "pytest", *options, *tests]
+    sys.exit(subprocess.run(command, env=environment, check=False).returncode)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Agreement of every task, on both engines, with Gymnasium's own environment, step by step."""
 
 import functools
+import inspect
 import itertools
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from gymnasium.envs.registration import load_env_creator
 
 from ailsrs_jax.data.policies import expert_path, load_policy
 from ailsrs_jax.envs.physics import ENGINES, PhysicsState
@@ -186,6 +188,17 @@ def test_one_step_from_gymnasiums_states(env_id: str, physics: str) -> None:
     median, percentile = MAX_VELOCITY_ERRORS[env_id]
     assert np.median(velocity_errors) < median
     assert np.quantile(velocity_errors.max(axis=1), 0.99) < percentile
+
+
+@pytest.mark.parametrize("env_id", TASKS)
+def test_names_and_defaults_of_flags(env_id: str) -> None:
+    creator: Any = load_env_creator(gymnasium.spec(env_id).entry_point)
+    ours, theirs = (
+        {name: each.default for name, each in inspect.signature(function).parameters.items()}
+        for function in (TASKS[env_id], creator)
+    )
+    assert ours.pop("physics") == "auto"
+    assert theirs == ours | {name: theirs[name] for name in ("default_camera_config", "kwargs")}
 
 
 @pytest.mark.parametrize("env_id", TASKS)

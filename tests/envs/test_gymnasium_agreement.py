@@ -303,9 +303,9 @@ def test_reset_noise_has_the_given_scale(env_id: str) -> None:
 @pytest.mark.parametrize("name", ["hopper", "ant"])
 def test_a_finished_simulation_is_not_stepped(name: str) -> None:
     env = make_env(name, "mujoco")
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 3))
     state = state.replace(done=jnp.array([0.0, 1.0, 0.0]))
-    after = jax.vmap(env.step)(state, jnp.ones((3, env.action_size))).pipeline_state
+    after = jax.jit(jax.vmap(env.step))(state, jnp.ones((3, env.action_size))).pipeline_state
     assert isinstance(after, PhysicsState)
     before = state.pipeline_state
     names = [name for name in before.readings if name != "cfrc_ext"]  # zero until something touches

@@ -107,7 +107,7 @@ def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
         ".": "is not a file",
         "deep.toml": "is not TOML",
         "long.toml": "too long",
-        "hostile.toml": "it could do anything, so it is not looked up",
+        "hostile.toml": "could do anything, so it is not imported",
         "endless.toml": "more than 10,000 cells",
     }.items():
         with pytest.raises(ail.UserError, match=message):

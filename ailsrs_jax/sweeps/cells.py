@@ -71,27 +71,12 @@ class Sweep:
 
     def require_same(self, path: Path) -> None:
         """Raise UserError that names some differences unless ``path`` holds this sweep."""
-        saved = load_sweep(path)
-        here, there = ({cell.name: cell for cell in sweep.cells} for sweep in (self, saved))
+        here, there = _flat(self), _flat(load_sweep(path))
         differences = [
-            f"{len(names)} cells {what}, such as {names[0]}"
-            for what, names in (
-                ("are new", [name for name in here if name not in there]),
-                ("are no longer in it", [name for name in there if name not in here]),
-            )
-            if names
+            f"{key} is {here.get(key, 'gone')}, was {there.get(key, 'not there')}"
+            for key in here | there
+            if here.get(key) != there.get(key)
         ]
-        for name in here.keys() & there.keys():
-            mine, theirs = _flat(here[name]), _flat(there[name])
-            differences += [
-                f"{key} of {name} is {mine[key]}, was {theirs.get(key)}"
-                for key in mine
-                if mine[key] != theirs.get(key)
-            ]
-        if self.episodes != saved.episodes:
-            differences.append(f"episodes is {self.episodes}, was {saved.episodes}")
-        if not differences and self != saved:
-            differences.append("the cells are in another order")
         if differences:
             more = f"; and {len(differences) - 3} more" if len(differences) > 3 else ""
             raise UserError(
@@ -100,9 +85,18 @@ class Sweep:
             )
 
 
-def _flat(cell: Cell) -> dict[str, Any]:
-    fields = {**vars(cell), **vars(cell.spec), **cell.all_settings}
-    return {name: value for name, value in fields.items() if name not in ("spec", "all_settings")}
+def _flat(sweep: Sweep) -> dict[str, Any]:
+    """Return all values of a sweep with their names, for comparison; cells in their order."""
+    values: dict[str, Any] = {"episodes": sweep.episodes, "the number of cells": len(sweep.cells)}
+    values |= {f"cell {number}": cell.name for number, cell in enumerate(sweep.cells)}
+    for cell in sweep.cells:
+        fields = vars(cell) | vars(cell.spec) | cell.all_settings
+        values |= {
+            f"{name} of {cell.name}": value
+            for name, value in fields.items()
+            if name not in ("name", "spec", "all_settings")
+        }
+    return values
 
 
 def load_sweep(path: Path) -> Sweep:
@@ -128,8 +122,8 @@ def _load_cell(fields: dict[str, Any]) -> Cell:
     cell = Cell(**fields | {"spec": spec})
     if not PLAIN_NAME.fullmatch(cell.name):  # it becomes a directory
         raise ValueError("a name is not that of a directory")
-    values = [value for name, value in _flat(cell).items() if name not in ("settings", "seeds")]
-    values += [*spec.settings.values(), *spec.seeds]
-    if len(spec.seeds) != 1 or any(isinstance(value, dict | list) for value in values):
+    values = {**vars(cell), **vars(spec), "spec": None, "seeds": cell.seed}
+    values |= {**values.pop("settings"), **values.pop("all_settings")}
+    if len(spec.seeds) != 1 or any(isinstance(value, dict | list) for value in values.values()):
         raise ValueError("a value has the wrong type")
     return cell

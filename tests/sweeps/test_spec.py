@@ -152,7 +152,7 @@ def test_settings_are_typed(in_tmp_path: Path) -> None:
     expand(quick_grid(settings=settings)).save(Path("sweep.json"))
     assert load_sweep(Path("sweep.json")).cells == (cell,)
     for wrong in ({"noise_std": "1"}, {"num_directions": 4.0}, {"scale_by_std": 1}):
-        with pytest.raises(ail.UserError, match="grid entry 1 .*: setting .* it must be"):
+        with pytest.raises(ail.UserError, match=r"grid entry 1 .*: setting .* it must be"):
             expand(quick_grid(settings=wrong))
 
 

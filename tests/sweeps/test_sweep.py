@@ -123,14 +123,17 @@ def test_what_is_left_of_a_stack_is_all_that_is_trained(in_tmp_path: Path) -> No
 
 
 def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
-    ail.sweep(quick_grid(), "sweep")
+    expand(quick_grid()).save(Path("sweep/sweep.json"))
+    (cell,) = expand(quick_grid()).cells
+    other = cell.name.replace("seed0", "seed1")
     calls = {
-        "1 cells are new, ": quick_grid(seeds=[0, 1]),
-        "label of ": quick_grid(label="ours"),
-        "1 cells are not asked for any more, ": quick_grid(seeds=1),
-        "episodes is 3, was 2": quick_grid() | {"episodes": 3},
+        f"the number of cells is 2, was 1; cell 1 is {other}, was not there": {"seeds": [0, 1]},
+        f"label of {cell.name} is ours, was ARS; choose": {"label": "ours"},
+        f"cell 0 is {other}, was {cell.name}; ": {"seeds": 1},
+        "episodes is 3, was 2; choose": {},
     }
-    for message, spec in calls.items():
+    for message, entry in calls.items():
+        spec = quick_grid(**entry) | ({} if entry else {"episodes": 3})
         with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
             ail.sweep(spec, "sweep")
         assert message in str(caught.value)

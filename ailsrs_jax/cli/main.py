@@ -102,10 +102,14 @@ def train(
     """
     from ailsrs_jax.cli.progress import RunProgress, evaluate_kept, print_results, results_fields
     from ailsrs_jax.cli.signals import StopSignals
-    from ailsrs_jax.runs import run
-    from ailsrs_jax.runs.devices import is_first_process, join_processes
+    from ailsrs_jax.runs import loop
+    from ailsrs_jax.runs.plan import plan
+    from ailsrs_jax.runs.spec import RunSpec
+    from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.trainers.algorithms import find_algorithm
+    from ailsrs_jax.trainers.parts.settings import parse
+    from ailsrs_jax.trainers.presets import preset_settings
 
     if distributed:
         if output is None:
@@ -117,19 +121,21 @@ def train(
     console = make_console(quiet=quiet, as_json=as_json)
     require_tracker(track)
     chosen = [seed for group in seeds for seed in group] or [0]
-    plan = run.make_plan(
-        env,
-        demonstrations,
-        num_trajectories,
-        chosen,
-        preset,
-        physics,
-        assignments(settings, iterations),
-        rollout_batch_size,
-        subsample,
-        algorithm,
+    defaults = preset_settings(env, preset, algorithm)
+    spec = RunSpec(
+        env=env,
+        demonstrations=demonstrations,
+        algorithm=algorithm,
+        num_trajectories=num_trajectories,
+        subsample=subsample,
+        seeds=chosen,
+        preset=preset,
+        settings=parse(defaults, assignments(settings, iterations)),
+        physics=physics,
+        rollout_batch_size=rollout_batch_size,
     )
-    config = plan.config
+    planned = plan(spec)
+    config = planned.config
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to go on with")
     how_to_resume = [] if resume else ["--resume"]
@@ -139,20 +145,20 @@ def train(
         how_to_resume = ["--output", str(output), "--resume"]
     learns_from = "the environment's reward"
     if config.num_trajectories:
-        learns_from = f"{config.num_trajectories} demonstrations {config.demonstrations}"
-    title = f"{plan.algorithm.title} on {config.env_id}"
+        learns_from = f"{config.num_trajectories} demonstrations {config.source}"
+    title = f"{planned.algorithm.title} on {config.env_id}"
     console.print(
         f"[bold]{title}[/] · {escape(learns_from)} · preset {preset} · seeds "
-        f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({plan.physics_reason}) · "
-        f"devices: {plan.devices.count} · {escape(str(output))}",
+        f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({planned.physics_reason}) · "
+        f"devices: {planned.devices.count} · {escape(str(output))}",
         soft_wrap=True,
     )
     stop = StopSignals()
     try:
         with stop, RunProgress(console) as bar:
-            result = run.execute(
-                plan,
-                output,
+            (result,) = loop.execute(
+                [planned],
+                [output],
                 resume=resume,
                 checkpoint_every=checkpoint_every,
                 track=track,
@@ -164,6 +170,7 @@ def train(
             print(f"saved; go on with:\n{this_command(*how_to_resume)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
 
+    assert isinstance(result, loop.Result)  # a single run raises its error
     measured = [] if quiet and not as_json else evaluate_kept(result, physics)
     print_results(console, result, measured)
     if not is_first_process():

@@ -19,7 +19,7 @@ from rich.table import Table
 from ailsrs_jax.cli.console import evaluation_fields
 from ailsrs_jax.runs.benchmark.speed import Row
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
-from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.estimate import CostEstimate, estimated_env_steps

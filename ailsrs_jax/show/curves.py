@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ailsrs_jax.files import write_atomically
-from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.figures import COLORS, EXPERT, STYLE

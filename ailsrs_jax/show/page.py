@@ -9,10 +9,10 @@ import jinja2
 from matplotlib.figure import Figure
 
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.sources import Source
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.saved_run import SavedRun
-from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.show.renderer import require_renderer
 from ailsrs_jax.show.replay import replay
 from ailsrs_jax.show.sweep_report import Table
@@ -84,7 +84,7 @@ def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
 
 def expert_of(runs: Sequence[SavedRun]) -> SavedPolicy | None:
     """The shipped expert that they imitate, or could be compared with."""
-    of_paper = any(run.config["demonstrations"] == PAPER_EXPERT for run in runs)
+    of_paper = any(run.source == Source("expert", "paper") for run in runs)
     try:
         return load_policy(expert_path(runs[0].config["env_id"], of_paper=of_paper))
     except UserError:

@@ -90,16 +90,15 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     config = run.config
     policies = policies_of(run)
     evaluations, problem = _evaluate(run, policies, episodes)
-    expert_return = run.expert_return()
-    source = config["demonstrations"]
+    expert_return = run.expert_return
     learns_from = "the environment's reward"
-    if run.algorithm.imitates:
-        learns_from = f"{config['num_trajectories']} demonstrations {source}"
+    if run.imitates:
+        learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
     curves = draw_curves(
         run.metrics,
         run.kept_iterations,
         expert_return,
-        imitates=run.algorithm.imitates,
+        imitates=run.imitates,
     )
     changed = run.changed_settings()
     versions = dict(config["versions"])
@@ -109,14 +108,14 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     note += " in Gymnasium's own environment." if config["env_id"] in TASKS else "."
     return Page(
         kind="run",
-        title=f"{run.algorithm.title} on {config['env_id']}",
+        title=f"{run.title} on {config['env_id']}",
         subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
         tiles=_tiles(run, evaluations, expert_return),
         videos=[_run_video(run, policies)] if video else [],
         figures=[Media("Training", svg(curves), CURVES)],
         tables=[_seed_table(run, evaluations)],
         note=f"{note} {problem}",
-        commands=[run.command() or "made in Python, from objects that no command can name"],
+        commands=[run.command or "made in Python, from objects that no command can name"],
         settings=[
             (name, str(value), name in changed) for name, value in config["settings"].items()
         ],

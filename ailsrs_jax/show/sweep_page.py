@@ -55,7 +55,7 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
         figures=[*_figures(results), *_discriminators(groups, runs)],
         tables=result_tables(results),
         note=EXPLANATION.replace("*", ""),
-        commands=[command for run in runs.values() if (command := run.command())],
+        commands=[command for run in runs.values() if (command := run.command)],
         settings=[],
         versions=[(name, str(v)) for name, v in first.config["versions"].items()] if first else [],
     )

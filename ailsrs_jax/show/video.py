@@ -17,7 +17,6 @@ from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.config import read_config
-from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.show.renderer import pictures, require_renderer
 from ailsrs_jax.show.replay import Replay, replay
 from ailsrs_jax.show.viewer import viewer_html
@@ -196,7 +195,9 @@ def _imitates_paper(policy: SavedPolicy | str | Path) -> bool:
     """Whether it is a run that was given the expert of the paper's return."""
     if isinstance(policy, SavedPolicy) or not (path := Path(policy) / "config.json").is_file():
         return False
-    return bool(read_config(path).get("demonstrations") == PAPER_EXPERT)
+    source = read_config(path).get("source")
+    kind, name = (source.get(key) if isinstance(source, dict) else None for key in ("kind", "name"))
+    return (kind, name) == ("expert", "paper")
 
 
 def require_suffix(path: Path) -> None:

@@ -11,10 +11,8 @@ from ailsrs_jax.sweeps.cells import Cell
 STACK_FILE = "cells.json"  # in the directory of an unfinished stack
 CHECKPOINTS = "checkpoints/*"  # of a stack or a cell
 
-Unit = tuple[Cell, ...]  # cells that are trained together, as a stack if there are several
 
-
-def stack_directory(output: Path, unit: Unit) -> Path:
+def stack_directory(output: Path, unit: Sequence[Cell]) -> Path:
     """Return the directory of the shared checkpoint of cells that are trained together."""
     names = "".join(cell.name for cell in unit)
     return output / "stacks" / hashlib.sha256(names.encode()).hexdigest()[:16]
@@ -39,7 +37,7 @@ def _members(stack: Path) -> list[str]:
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
-def split_unit(unit: Unit, unfinished: Sequence[Cell], output: Path) -> list[list[Cell]]:
+def split_unit(unit: Sequence[Cell], unfinished: Sequence[Cell], output: Path) -> list[list[Cell]]:
     """Split the unfinished cells of a unit into groups that are trained together.
 
     The cells of an unfinished stack stay together, including those that are finished. Otherwise a

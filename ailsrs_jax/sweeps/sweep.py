@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ailsrs_jax.errors import InUseError, UserError, one_line
-from ailsrs_jax.runs.loop import execute
-from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.loop import Result, execute
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.sweeps.cells import Cell, Sweep
@@ -15,7 +14,7 @@ from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.launch import run_on_ray
 from ailsrs_jax.sweeps.results import DONE, NOT_RUN
 from ailsrs_jax.sweeps.spec import MAX_CELLS, expand, read_spec
-from ailsrs_jax.sweeps.stacks import Unit, begun_stacks, split_unit, stack_directory
+from ailsrs_jax.sweeps.stacks import begun_stacks, split_unit, stack_directory
 from ailsrs_jax.sweeps.tables import (
     ROW_FILE,
     TableRow,
@@ -31,6 +30,8 @@ SWEEP_FILE = "sweep.json"
 MAX_PARALLEL = 64  # cells in one program; the same on every machine, so that all shards agree
 
 LAUNCHERS = ("local", "ray")
+
+Unit = tuple[Cell, ...]  # cells that are trained together, as a stack if there are several
 
 
 class SweepWatch(Protocol):

@@ -20,7 +20,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
-from ailsrs_jax.runs.run import Result
+from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell

@@ -10,8 +10,8 @@ import pytest
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import SavedLinearPolicy, expert_path, load_policy
+from ailsrs_jax.data.sources import content_hash
 from ailsrs_jax.runs.evaluation import evaluate
-from ailsrs_jax.runs.storage.config import content_hash
 from ailsrs_jax.show.curves import plot_training_curve
 
 TINY = [
@@ -329,7 +329,7 @@ def test_help_starts_no_backend_and_is_quick_to_import() -> None:
 
 def test_a_curve_needs_metrics(tmp_path: Path) -> None:
     from ailsrs_jax.errors import UserError
-    from ailsrs_jax.runs.run import Result
+    from ailsrs_jax.runs.loop import Result
 
     with pytest.raises(UserError, match="no such file"):
         plot_training_curve(tmp_path, "title", Result(None, {}, {0: 0}, None))

@@ -121,24 +121,22 @@ def cell_columns(cell: Cell) -> dict[str, Any]:
     }
 
 
-def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow | None:
-    """Make the row of ``timings.csv`` for a finished cell; None unless all iterations are timed."""
-    try:
-        seconds = read_metrics(directory / "seconds.csv")
-        iterations, times = seconds["iteration"], seconds["seconds"]
-        compiling = float(seconds["compile_seconds"].sum())
-    except (KeyError, UserError):
-        return None
-    if iterations.tolist() != list(range(row["iterations"])):
-        return None
+def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
+    """Make the row of ``timings.csv`` for a finished cell.
+
+    Raises:
+        UserError: the times cannot be read.
+    """
+    times = read_metrics(directory / "seconds.csv")
     to_90 = None
     if row["steps_to_90"] is not None:
         steps = read_metrics(directory / "metrics.csv")["env_steps"]
-        to_90 = float(times[: np.searchsorted(steps, row["steps_to_90"]) + 1].sum())
+        reached = np.searchsorted(steps, row["steps_to_90"])
+        to_90 = float(times["seconds"][: reached + 1].sum())
     return {
         "cell": cell.name,
-        "train_seconds": float(times.sum()),
-        "compile_seconds": compiling,
+        "train_seconds": float(times["seconds"].sum()),
+        "compile_seconds": float(times["compile_seconds"].sum()),
         "seconds_to_90_percent": to_90,
         "hardware": hardware(),
     }

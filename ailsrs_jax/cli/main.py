@@ -107,14 +107,13 @@ def train(
     from ailsrs_jax.runs.spec import RunSpec
     from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
-    from ailsrs_jax.trainers.algorithms import find_algorithm
+    from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
     from ailsrs_jax.trainers.parts.settings import parse
-    from ailsrs_jax.trainers.presets import preset_settings
 
     if distributed:
         if output is None:
             raise UserError("--distributed needs --output, a directory that all processes see")
-        if not find_algorithm(algorithm).searches:
+        if not find_algorithm(algorithm).shares_devices:
             raise UserError(f"--distributed: {algorithm} has no directions to share")
         join_processes()
         quiet = quiet or not is_first_process()
@@ -150,7 +149,7 @@ def train(
     console.print(
         f"[bold]{title}[/] · {escape(learns_from)} · preset {preset} · seeds "
         f"{' '.join(map(str, chosen))}\nphysics {config.physics} ({planned.physics_reason}) · "
-        f"devices: {planned.devices.count} · {escape(str(output))}",
+        f"devices: {planned.simulator.num_devices} · {escape(str(output))}",
         soft_wrap=True,
     )
     stop = StopSignals()

@@ -15,8 +15,6 @@ from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.rollout import simulate
-from ailsrs_jax.trainers.parts.settings import override
-from ailsrs_jax.trainers.presets import preset_settings
 
 TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # for measuring the speed of the physics
 
@@ -65,41 +63,22 @@ def estimate(units: Sequence[Sequence[Cell]]) -> list[CostEstimate]:
 def estimated_env_steps(cell: Cell) -> int:
     """Return the maximum number of environment steps in the training of a cell."""
     settings = _settings(cell)
-    return int(settings.num_iterations * _steps_per_iteration(cell, settings))
-
-
-def _steps_per_iteration(cell: Cell, settings: Any) -> int:
-    batches = 0
-    if hasattr(settings, "updates_per_iteration"):  # by trust region
-        updates = settings.updates_per_iteration * getattr(settings, "policy_steps", 1)
-        batches = updates * settings.batch_size
-    return int(_num_episodes(cell, settings) * settings.episode_length + batches)
-
-
-def _num_episodes(cell: Cell, settings: Any) -> int:
-    """Return the number of whole episodes in an iteration."""
-    if find_algorithm(cell.spec.algorithm).searches:
-        return int(2 * settings.num_directions + settings.num_evaluation_episodes)
-    # Trust-region algorithms evaluate both the mean action and sampled actions.
-    kinds = 2 if hasattr(settings, "updates_per_iteration") else 1
-    return int(kinds * settings.num_evaluation_episodes)
+    return int(settings.num_iterations * settings.steps_per_iteration)
 
 
 def _memory_bytes(cell: Cell) -> int:
     """Apply the formula of docs/scaling.md for one device, and add the demonstrations."""
     spec, settings = cell.spec, _settings(cell)
     n, p = env_sizes(open_env(spec.env, spec.physics).env)
-    steps = _num_episodes(cell, settings) * settings.episode_length
-    numbers = steps * (n + p + 1)
-    if find_algorithm(spec.algorithm).searches:
-        numbers += 2 * settings.num_directions * n * p
+    steps = settings.steps_per_iteration
+    num_policies = 2 * getattr(settings, "num_directions", 0)
+    numbers = steps * (n + p + 1) + num_policies * n * p
     running = getattr(settings, "standardize_with", "") == "running"
     running |= getattr(settings, "normalize_observations", False)  # of ARS
     if jax.default_backend() == "cpu" and running:
         numbers += steps * n
     if hasattr(settings, "memory_iterations"):
-        policies = 2 * settings.num_directions
-        remembered = policies * -(-settings.memory_samples // policies)
+        remembered = num_policies * -(-settings.memory_samples // num_policies)
         numbers += 3 * settings.memory_iterations * remembered * (n + p)
     if spec.num_trajectories is not None:
         numbers += spec.num_trajectories * settings.episode_length * (n + p)
@@ -107,8 +86,7 @@ def _memory_bytes(cell: Cell) -> int:
 
 
 def _settings(cell: Cell) -> Any:
-    spec = cell.spec
-    return override(preset_settings(str(spec.env), spec.preset, spec.algorithm), spec.settings)
+    return find_algorithm(cell.spec.algorithm).settings(**cell.all_settings)
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.sweeps.cells import load_sweep
+from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.results import DONE
 from ailsrs_jax.sweeps.spec import expand, read_spec
 from ailsrs_jax.sweeps.tables import cell_columns, load_row, save_row
@@ -158,11 +160,27 @@ def test_settings_are_typed(in_tmp_path: Path) -> None:
 
 def test_your_own_algorithm_is_in_the_current_directory(in_tmp_path: Path) -> None:
     text = '[[grid]]\nenv = "tests.point_mass:PointMass"\nalgorithm = ["ars", "{}"]\n'
-    Path("mine.py").write_text("")
+    code = """
+        import dataclasses
+        import ailsrs_jax as ail
+        algorithm = dataclasses.replace(ail.find_algorithm("ars"), title="Mine")
+    """
+    Path("mine.py").write_text(textwrap.dedent(code))
     Path("mine.toml").write_text(text.format("mine:algorithm"))
-    assert read_spec(Path("mine.toml"))["grid"][0]["algorithm"][1] == "mine:algorithm"
-    for name in ("os:abort", "tests.elsewhere:algorithm", "../mine:algorithm"):
-        Path("hostile.toml").write_text(text.format(name))
+    theirs, mine = expand(read_spec(Path("mine.toml"))).cells
+    assert (theirs.label, mine.label) == ("ARS", "Mine")
+    assert mine.spec == dataclasses.replace(theirs.spec, algorithm="mine:algorithm")
+    assert mine.program != theirs.program
+    assert mine.make_plan().algorithm.title == "Mine"
+    assert estimated_env_steps(mine) == estimated_env_steps(theirs) > 0
+
+    names = {
+        "os:abort": 'algorithm = "os:abort"',
+        "tests.elsewhere:algorithm": 'algorithm = ["ars", "tests.elsewhere:algorithm"]',
+        "../mine:loss": '[grid.settings]\ndiscriminator_loss = ["../mine:loss"]',
+    }
+    for name, line in names.items():
+        Path("hostile.toml").write_text(f'[[grid]]\nenv = "hopper"\n{line}\n')
         with pytest.raises(ail.UserError, match=f"hostile.toml names {name}: no such module is in"):
             read_spec(Path("hostile.toml"))
 

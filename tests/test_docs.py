@@ -17,7 +17,7 @@ from ailsrs_jax.cli.arguments import assignments
 from ailsrs_jax.cli.main import app
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import load_policy
-from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.settings import override, parse
 from ailsrs_jax.trainers.presets import preset_settings
 from tests.cli.test_cli import TINY, ailsrs
 
@@ -109,7 +109,7 @@ def _parsed_only(command: Any) -> Any:
     def check(*_: Any, **parsed: Any) -> None:
         if command.__name__ == "train":
             settings = preset_settings(parsed["env"], parsed["preset"], parsed["algorithm"])
-            override(settings, assignments(parsed["settings"]))
+            override(settings, parse(settings, assignments(parsed["settings"])))
 
     return check
 

@@ -32,7 +32,7 @@ from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.runs.training_data import find_demonstrations, require_fit
 from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
 from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
-from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.settings import override, parse
 from ailsrs_jax.trainers.parts.trainer import Trainer
 from ailsrs_jax.trainers.presets import preset_settings
 
@@ -184,7 +184,8 @@ def make_plan(
     chosen = find_algorithm(algorithm)
     if rollout_batch_size is not None and not chosen.searches:
         raise UserError(f"rollout_batch_size is of random search: {algorithm} has no such episodes")
-    settings = override(preset_settings(env_id, preset, algorithm), assignments)
+    settings = preset_settings(env_id, preset, algorithm)
+    settings = override(settings, parse(settings, assignments))
     source = sha256 = None
     if chosen.imitates:
         demonstrations, source = find_demonstrations(

@@ -15,7 +15,7 @@ from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.rollout import simulate
-from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.settings import override, parse
 from ailsrs_jax.trainers.presets import preset_settings
 
 TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # of the measurement of speed
@@ -102,7 +102,8 @@ def _memory_bytes(cell: Cell) -> int:
 
 
 def _settings(cell: Cell) -> Any:
-    return override(preset_settings(cell.env_id, cell.preset, cell.algorithm), cell.settings)
+    settings = preset_settings(cell.env_id, cell.preset, cell.algorithm)
+    return override(settings, parse(settings, cell.settings))
 
 
 @functools.cache

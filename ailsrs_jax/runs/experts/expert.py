@@ -21,7 +21,7 @@ from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
-from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.settings import override, parse
 from ailsrs_jax.trainers.presets import preset_settings
 
 ALGORITHMS = ("ppo", "es", "ars")
@@ -112,13 +112,15 @@ def search_expert(
         report.require_most_finite()
 
     if algorithm == "ppo":
-        ppo_settings = override(PPO_PRESETS.get(task.env_id, PpoSettings()), assignments)
+        preset = PPO_PRESETS.get(task.env_id, PpoSettings())
+        ppo_settings = override(preset, parse(preset, assignments))
         train_ppo(task.env, ppo_settings, seed, consider)
     elif algorithm == "es":
-        es_settings = override(EvolutionSettings(), assignments)
+        es_settings = override(EvolutionSettings(), parse(EvolutionSettings(), assignments))
         offer(*train_by_evolution(task.env, es_settings, seed, watch or (lambda _: None)))
     else:
-        ars_settings = override(preset_settings(task.env_id, "tuned", "ars"), assignments)
+        tuned = preset_settings(task.env_id, "tuned", "ars")
+        ars_settings = override(tuned, parse(tuned, assignments))
         _search(task.env, ars_settings, seed, consider)
     if best is None:
         raise UserError("no policy was found: the return was never a finite number")

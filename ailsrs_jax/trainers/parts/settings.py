@@ -1,11 +1,12 @@
-"""Checking the settings of a trainer, and changing them by name.
+"""Check the settings of a trainer, and change them by name.
 
-A setting's type says what it may be: an ``int`` is at least 1, a ``float`` not negative, others are
-below.
+The type of a field says which values it takes. An ``int`` is at least 1 and a ``float`` is not
+negative; the types below say otherwise.
 """
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import jax
@@ -21,31 +22,36 @@ Signed = Annotated[float, "signed"]
 SettingsT = TypeVar("SettingsT")
 
 
-def override(settings: SettingsT, assignments: dict[str, str]) -> SettingsT:
-    """Replace fields of the dataclass ``settings`` by values given as text, and check the result.
+def override(settings: SettingsT, changes: Mapping[str, Any]) -> SettingsT:
+    """Replace fields of the dataclass ``settings`` by typed values, and check the result.
 
     Raises:
-        UserError: there is no such field, or the value makes no sense.
+        UserError: a field does not exist, or its value makes no sense.
     """
-    types = get_type_hints(type(settings))
-    changes: dict[str, Any] = {}
-    for name, text in assignments.items():
-        if name not in types:
-            hint = did_you_mean(name, types)
-            raise UserError(f"there is no setting '{name}'{hint}: use one of {', '.join(types)}")
-        changes[name] = _parse(name, text, types[name])
-    changed = dataclasses.replace(settings, **changes)  # type: ignore[type-var]
+    types = _types(settings, changes)
+    typed = {name: _as_type(value, types[name]) for name, value in changes.items()}
+    changed = dataclasses.replace(settings, **typed)  # type: ignore[type-var]
     validate(changed)
     return changed
 
 
+def parse(settings: Any, assignments: Mapping[str, str]) -> dict[str, Any]:
+    """Turn values given as text into the types of the fields of ``settings``.
+
+    Raises:
+        UserError: a field does not exist, or the text is no such value.
+    """
+    types = _types(settings, assignments)
+    return {name: _parse(name, text, types[name]) for name, text in assignments.items()}
+
+
 def as_text(value: Any) -> str:
-    """A setting's value as :func:`override` takes it."""
+    """Write a value as :func:`parse` reads it."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def validate(settings: Any) -> None:
-    """Raise UserError unless the values of a trainer's settings make sense; traced ones may."""
+    """Raise UserError unless all values make sense; traced values are not looked at."""
     for name, kind in get_type_hints(type(settings), include_extras=True).items():
         value = getattr(settings, name)
         if not isinstance(value, jax.core.Tracer) and (must := _problem(value, kind)):
@@ -59,7 +65,7 @@ def validate(settings: Any) -> None:
 
 
 def require_countable(num_steps: int) -> None:
-    """Raise UserError unless 32 bits can count the steps of an iteration, and what it remembers."""
+    """Raise UserError unless 32 bits can count the steps of an iteration and of the memory."""
     if num_steps >= 2**31:
         raise UserError(
             f"an iteration of {num_steps} steps, remembered ones included, is too long: they are "
@@ -68,12 +74,29 @@ def require_countable(num_steps: int) -> None:
 
 
 def is_used(weight: Any) -> bool:
-    """Whether a term with this weight is there at all; a traced one, of stacked runs, is not 0."""
+    """Tell whether a term with this weight is computed; a traced weight is never 0."""
     return isinstance(weight, jax.core.Tracer) or weight != 0
 
 
+def _types(settings: Any, names: Mapping[str, Any]) -> dict[str, Any]:
+    types = get_type_hints(type(settings))
+    for name in names:
+        if name not in types:
+            hint = did_you_mean(name, types)
+            raise UserError(f"there is no setting '{name}'{hint}: use one of {', '.join(types)}")
+    return types
+
+
+def _as_type(value: Any, kind: Any) -> Any:
+    """Return a plain Python value; a whole number may stand for a real one."""
+    if isinstance(value, np.generic | np.ndarray | jax.Array) and value.ndim == 0:
+        value = value.item()
+    is_whole = type(value) is int and abs(value) < 2**63
+    return float(value) if kind is float and is_whole else value
+
+
 def _problem(value: Any, kind: Any) -> str:
-    """What a setting of type ``kind`` must be that ``value`` is not; "" if nothing."""
+    """Say what a setting of type ``kind`` must be and ``value`` is not; "" if all is well."""
     if get_origin(kind) is Literal:
         return "" if value in get_args(kind) else f"be {' or '.join(get_args(kind))}"
     type_, *bounds = get_args(kind) or (kind,)
@@ -81,14 +104,18 @@ def _problem(value: Any, kind: Any) -> str:
         bool: ("b", "true or false"),
         int: ("iu", "a whole number"),
         float: ("iuf", "a number"),
+        str: ("U", "text"),
     }[type_]
-    if type_ is not int or type(value) is not int:  # Python's whole numbers can be beyond NumPy's
+    if type_ is not int or type(value) is not int:  # Python's integers can exceed NumPy's
         try:
             array = np.asarray(value)
         except ValueError:  # a ragged list
             return f"be {name}"
         if array.ndim > 0 or array.dtype.kind not in kinds:
             return f"be {name}"
+    if type_ is str:
+        known = bounds[0]
+        return "" if value in known or ":" in value else f"be {_either(known)}"
     if type_ is int:
         return "be at least 1" if value < 1 else "be below 2^31" if value >= 2**31 else ""
     if not math.isfinite(value):
@@ -100,9 +127,16 @@ def _problem(value: Any, kind: Any) -> str:
     return "be at most 1" if "at most 1" in bounds and value > 1 else ""
 
 
+def _either(names: Any) -> str:
+    """List the functions that a setting may name."""
+    return f"{', '.join(names)} or a function of your own, module:attribute"
+
+
 def _parse(name: str, text: str, kind: Any) -> Any:
-    choices = get_args(kind) if get_origin(kind) is Literal else ()
-    if choices:
+    if kind is str:
+        return text
+    if get_origin(kind) is Literal:
+        choices = get_args(kind)
         if text in choices:
             return text
         expected = " or ".join(choices)

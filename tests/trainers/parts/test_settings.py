@@ -1,4 +1,4 @@
-"""Settings that are handed in from Python, as they are."""
+"""Settings as Python hands them in, and as the command line writes them."""
 
 import dataclasses
 from typing import Any
@@ -11,7 +11,7 @@ import pytest
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 from ailsrs_jax.trainers.ars import ArsSettings
-from ailsrs_jax.trainers.parts.settings import validate
+from ailsrs_jax.trainers.parts.settings import as_text, override, parse, validate
 
 GOOD: list[Any] = [
     AilsrsSettings(reward_after_end=0, gradient_penalty=10),
@@ -56,3 +56,26 @@ def test_traced_ones_may_be_anything() -> None:
         return step_size
 
     jax.jit(make)(-1.0)
+
+
+def test_text_becomes_the_type_of_the_field() -> None:
+    texts = {"num_iterations": "3", "step_size": "1", "behavior_cloning_start": "True"}
+    parsed = parse(AilsrsSettings(), texts)
+    assert parsed == {"num_iterations": 3, "step_size": 1.0, "behavior_cloning_start": True}
+    assert list(map(type, parsed.values())) == [int, float, bool]
+    assert parse(AilsrsSettings(), {n: as_text(v) for n, v in parsed.items()}) == parsed
+    with pytest.raises(UserError, match="num_iterations is '3.5': it must be a whole number"):
+        parse(AilsrsSettings(), {"num_iterations": "3.5"})
+    with pytest.raises(UserError, match=r"no setting 'step' \(did you mean step_size"):
+        parse(AilsrsSettings(), {"step": "1"})
+
+
+def test_typed_values_are_plain_python_ones() -> None:
+    changes = {"step_size": 1, "num_iterations": np.int32(3), "noise_std": jnp.array(0.5)}
+    settings = override(AilsrsSettings(), changes)
+    assert (settings.step_size, settings.num_iterations, settings.noise_std) == (1.0, 3, 0.5)
+    assert [type(getattr(settings, name)) for name in changes] == [float, int, float]
+    with pytest.raises(UserError, match="no setting 'noise'"):
+        override(AilsrsSettings(), {"noise": 0.1})
+    with pytest.raises(UserError, match="step_size is 0.02: it must be a number"):
+        override(AilsrsSettings(), {"step_size": "0.02"})

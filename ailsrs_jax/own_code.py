@@ -1,0 +1,73 @@
+"""Objects from a user's own files, named ``module:attribute``, and the errors in these files."""
+
+import contextlib
+import importlib
+import inspect
+import operator
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ailsrs_jax.errors import UserError, did_you_mean, one_line
+
+
+def is_own(name: str) -> bool:
+    """Tell whether ``name`` has the form ``module:attribute``; nothing is imported."""
+    return ":" in name
+
+
+def load_own(name: str) -> Any:
+    """Import ``module:attribute``; modules are looked for in the current directory first.
+
+    Raises:
+        UserError: the module cannot be imported, or has no such attribute.
+    """
+    module_name, _, attribute = name.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # as ``python -m`` does
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # the code of others may raise anything
+        if isinstance(error, ModuleNotFoundError) and error.name == module_name.split(".")[0]:
+            raise UserError(f"cannot find {name}: there is no module {error.name} here") from error
+        file = module_name.split(".")[-1] + ".py"
+        raise _blame(f"cannot import {name}", error, file) from error
+    try:
+        return operator.attrgetter(attribute)(module)
+    except AttributeError as error:
+        hint = did_you_mean(attribute, dir(module))
+        raise UserError(f"{module.__file__}, line 1: there is no '{attribute}'{hint}") from error
+
+
+@contextlib.contextmanager
+def blamed_on(name: str, function: Callable[..., Any]) -> Iterator[None]:
+    """Report an exception from inside as a mistake in ``function``, which ``name`` stands for.
+
+    Raises:
+        UserError: an exception passed through the function's file, or through none of the user's.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        file = inspect.getsourcefile(inspect.unwrap(function)) or name
+        line = inspect.unwrap(function).__code__.co_firstlineno
+        raise _blame(name, error, file, line) from error
+
+
+def _blame(name: str, error: Exception, file: str, line: int = 1) -> UserError:
+    """Describe an error in a line, with the last place in ``file`` that it passed through."""
+    if isinstance(error, SyntaxError) and error.filename is not None:
+        file, line = error.filename, error.lineno or line
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        if Path(frame.f_code.co_filename).name == Path(file).name:
+            file, line = frame.f_code.co_filename, number
+    with tempfile.NamedTemporaryFile("w", prefix="ailsrs-", suffix=".log", delete=False) as log:
+        log.write("".join(traceback.format_exception(error)))
+    return UserError(
+        f"{name}: {file}, line {line}: {one_line(error)}; the traceback is in {log.name}"
+    )

@@ -65,7 +65,7 @@ def draw_curves(run: SavedRun) -> Figure:
             label, limits = PANELS[name]
             axes.set(xlabel=STEPS, ylabel=label)
             if limits is not None:
-                axes.set_ylim(limits)
+                axes.set(ylim=limits)
         _explain_returns(all_axes["evaluation_return"], run)
         if "policy_score" in all_axes:
             _explain_scores(all_axes["policy_score"])
@@ -106,8 +106,7 @@ def _draw_expert_score(axes: Axes, metrics: Mapping[str, np.ndarray], color: str
         return
     steps, expert = metrics["env_steps"] / 1e6, metrics["expert_score"]
     axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
-    shade = {"color": color, "alpha": 0.08, "linewidth": 0}
-    axes.fill_between(steps, metrics["policy_score"], expert, **shade)
+    axes.fill_between(steps, metrics["policy_score"], expert, color=color, alpha=0.08, linewidth=0)
 
 
 def _explain_returns(axes: Axes, run: SavedRun) -> None:

@@ -134,11 +134,10 @@ def draw_training_curves(
                 if number > len(curves):
                     continue
                 curve = mean_curve(curves[:number])
-                raw = {"color": color, "linewidth": 0.6, "alpha": 0.5}
-                axes.plot(curve.iterations, curve.returns, **raw)
-                thick = {"color": color, "linestyle": line, "linewidth": 1.6}
+                axes.plot(curve.iterations, curve.returns, color=color, linewidth=0.6, alpha=0.5)
+                (thick,) = axes.plot(curve.iterations, smoothed(curve.returns), color=color)
                 label = f"{number} seed{'s' * (number > 1)}"
-                axes.plot(curve.iterations, smoothed(curve.returns), label=label, **thick)
+                thick.set(linestyle=line, linewidth=1.6, label=label)
             given = f" ({group.num_trajectories} demonstrations)" if group.num_trajectories else ""
             axes.set(title=task, xlabel=f"iteration{given}", ylabel="return")
         add_legend(figure, axes_of.values(), title=f"{name} · thin raw, thick smoothed")

@@ -329,7 +329,6 @@ def test_help_starts_no_backend_and_is_quick_to_import() -> None:
 
 def test_a_curve_needs_metrics(tmp_path: Path) -> None:
     from ailsrs_jax.errors import UserError
-    from ailsrs_jax.runs.run import Result
 
     with pytest.raises(UserError, match="no such file"):
-        plot_training_curve(tmp_path, "title", Result(None, {}, {0: 0}, None))
+        plot_training_curve(tmp_path)

@@ -1,12 +1,12 @@
-import builtins
 import hashlib
+import sys
 from pathlib import Path
 
 import matplotlib.image
 import pytest
 from matplotlib.figure import Figure
 
-from ailsrs_jax.show.figures import _draw_levels
+from ailsrs_jax.show.figures import draw_levels
 from ailsrs_jax.show.sweep_report import report_sweep
 from ailsrs_jax.sweeps.statistics import group_cells
 from tests.sweeps.synthetic_sweep import cells, row, write_sweep
@@ -113,7 +113,7 @@ def test_each_source_of_demonstrations_has_an_expert() -> None:
         for number in (10, 40)
     ]
     axes = Figure().subplots()
-    _draw_levels(axes, group_cells(cells(*table)))
+    draw_levels(axes, group_cells(cells(*table)))
     drawn = [line.get_ydata().tolist() for line in axes.lines if line.get_label() == "expert"]
     assert drawn == [[3240, 3240], [1021, 1021]]
 
@@ -127,14 +127,7 @@ def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> No
 def test_without_matplotlib_there_are_tables_and_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ordinary_import = builtins.__import__
-
-    def without(name: str, *arguments: object, **options: object) -> object:
-        if name == "ailsrs_jax.show.figures":
-            raise ImportError
-        return ordinary_import(name, *arguments, **options)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "ailsrs_jax.show.figures", None)
     report_sweep(write_sweep(tmp_path, [row(0.9)]))
     assert capsys.readouterr().err == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
     assert (tmp_path / "table.md").exists()

@@ -39,7 +39,7 @@ app = tyro.extras.SubcommandApp()
 for name, command in COMMANDS.items():
     # Each argument's help on one line, because a terminal has its own width.
     command.__doc__ = re.sub(r"\n {8}(?=\S)", " ", inspect.cleandoc(command.__doc__ or ""))
-    app.command(name=name, help=command.__doc__.partition("\n")[0])(command)
+    app.command(name=name)(command)
 
 
 def main() -> None:

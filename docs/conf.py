@@ -65,7 +65,7 @@ PARTS = {
     "errors": "Mistakes",
 }
 # What public functions return, and nobody has to make.
-RETURNED = ("runs.run.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
+RETURNED = ("runs.loop.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
 
 
 def setup(app: Sphinx) -> None:

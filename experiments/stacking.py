@@ -13,7 +13,8 @@ import jax
 import numpy as np
 
 from ailsrs_jax.envs.registry import resolve_env_id
-from ailsrs_jax.runs.run import make_plan
+from ailsrs_jax.runs.plan import plan
+from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_trainers
 
 ITERATIONS = 3
@@ -36,18 +37,18 @@ def main() -> None:
 def steps_per_second(env_id: str, num_cells: int) -> float:
     """Live steps of all cells in a second."""
     plans = [
-        make_plan(
-            env_id,
-            None,
-            10 * (1 + seed % 4),
-            (seed,),
-            "tuned",
-            "mjx",
-            {"step_size": str(0.02 + 0.001 * seed)},
+        plan(
+            RunSpec(
+                env_id,
+                num_trajectories=10 * (1 + seed % 4),
+                seeds=(seed,),
+                settings={"step_size": 0.02 + 0.001 * seed},
+                physics="mjx",
+            )
         )
         for seed in range(num_cells)
     ]
-    make, arguments = stack_trainers([plan.make_trainer() for plan in plans])
+    make, arguments = stack_trainers([each.make_trainer() for each in plans])
     init = jax.vmap(lambda seed, part: make(part).init(jax.random.key(seed)))
     state = jax.jit(init)(np.arange(num_cells), arguments)
     update = jax.vmap(lambda state, part: make(part).update(state))

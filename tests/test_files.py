@@ -26,7 +26,7 @@ def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
 
     def read() -> None:
         try:
-            open_source(tmp_path / "pipe.npz", "Hopper-v5", None)
+            open_source(tmp_path / "pipe.npz", "Hopper-v5")
         except UserError as error:
             errors.append(str(error))
 

@@ -33,7 +33,7 @@ from ailsrs_jax.cli.terminal import (
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
-    from ailsrs_jax.runs.run import Result
+    from ailsrs_jax.runs.loop import Result
 
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
 Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
@@ -86,10 +86,14 @@ def train(
     """
     from ailsrs_jax.cli.progress import RunProgress
     from ailsrs_jax.cli.signals import StopSignals
-    from ailsrs_jax.runs import run
-    from ailsrs_jax.runs.devices import is_first_process, join_processes
+    from ailsrs_jax.runs import loop
+    from ailsrs_jax.runs.plan import plan
+    from ailsrs_jax.runs.spec import RunSpec
+    from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.trainers.algorithms import find_algorithm
+    from ailsrs_jax.trainers.parts.settings import parse
+    from ailsrs_jax.trainers.presets import preset_settings
 
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to continue")
@@ -104,20 +108,20 @@ def train(
     changes = assignments(settings)
     if iterations is not None:
         changes = {"num_iterations": str(iterations)} | changes
-    chosen = [seed for group in seeds for seed in group] or [0]
-    plan = run.make_plan(
-        env,
-        demonstrations,
-        num_trajectories,
-        chosen,
-        preset,
-        physics,
-        changes,
-        rollout_batch_size,
-        subsample,
-        algorithm,
+    spec = RunSpec(
+        env=env,
+        demonstrations=demonstrations,
+        algorithm=algorithm,
+        num_trajectories=num_trajectories,
+        subsample=subsample,
+        seeds=[seed for group in seeds for seed in group] or [0],
+        preset=preset,
+        settings=parse(preset_settings(env, preset, algorithm), changes),
+        physics=physics,
+        rollout_batch_size=rollout_batch_size,
     )
-    config = plan.config
+    planned = plan(spec)
+    config = planned.config
     continue_by = [] if resume else ["--resume"]
     if output is None:
         name = env.replace(":", ".")  # colons are special on Windows and to scp
@@ -125,19 +129,19 @@ def train(
         continue_by = ["--output", str(output), "--resume"]
     learns_from = "the environment's reward"
     if config.num_trajectories:
-        learns_from = f"{config.num_trajectories} demonstrations {config.demonstrations}"
+        learns_from = f"{config.num_trajectories} demonstrations {config.source}"
     terminal.console.print(
-        f"[bold]{plan.algorithm.title} on {config.env_id}[/] · {escape(learns_from)} · preset "
-        f"{preset} · seeds {' '.join(map(str, chosen))}\nphysics {config.physics} "
-        f"({plan.physics_reason}) · devices: {plan.devices.count} · {escape(str(output))}",
+        f"[bold]{planned.algorithm.title} on {config.env_id}[/] · {escape(learns_from)} · preset "
+        f"{preset} · seeds {' '.join(map(str, config.seeds))}\nphysics {config.physics} "
+        f"({planned.physics_reason}) · devices: {planned.devices.count} · {escape(str(output))}",
         soft_wrap=True,
     )
     stop = StopSignals()
     try:
         with stop, RunProgress(terminal.console) as progress:
-            result = run.execute(
-                plan,
-                output,
+            (result,) = loop.execute(
+                [planned],
+                [output],
                 resume=resume,
                 checkpoint_every=checkpoint_every,
                 track=track,
@@ -148,6 +152,7 @@ def train(
         if is_first_process():
             print(f"saved; continue with:\n{this_command(*continue_by)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
+    assert isinstance(result, loop.Result)  # a single run raises its error
     if is_first_process():
         report_result(result, output, physics, terminal)
 

@@ -1,9 +1,18 @@
-"""Demonstrations from wherever they are: a file, a Minari dataset, another library's directory."""
+"""Sources of demonstrations: files, Minari datasets, directories of the imitation library."""
 
+import dataclasses
+import hashlib
+import os
+import reprlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from ailsrs_jax.data.demonstrations import (
+    Demonstrations,
+    load_demonstrations,
+    save_demonstrations,
+    validated,
+)
 from ailsrs_jax.data.episodes import Recording
 from ailsrs_jax.data.formats.imitation import load_imitation, require_no_pickle
 from ailsrs_jax.data.formats.minari import load_minari, require_new_minari, save_minari
@@ -11,42 +20,101 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable
 
 MINARI = "minari:"
+PAPER_EXPERT = "expert:paper"
+KINDS = ("expert", "file", "minari", "imitation", "memory")
 
 
-class Source(NamedTuple):
-    """Demonstrations, and what a run writes down of where they are from."""
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Where demonstrations are from, as ``config.json`` records it.
 
-    demonstrations: Demonstrations
-    description: str
+    The name is a path or the id of a dataset. The expert's name is ``paper`` for the one with the
+    paper's return; the default expert and demonstrations in memory have none.
+    """
+
+    kind: str  # one of KINDS
+    name: str | None = None
+    num_left_out: int = 0  # truncated episodes that were not read
+
+    @property
+    def argument(self) -> str | None:
+        """What ``--demonstrations`` takes; None for the default expert and for memory."""
+        if self.kind in ("expert", "minari") and self.name is not None:
+            return f"{self.kind}:{self.name}"
+        return self.name
+
+    def __str__(self) -> str:
+        """For people, after "10 demonstrations"."""
+        if self.kind == "memory":
+            return "handed in from Python"
+        if self.kind == "expert":
+            shipped = "of the expert that ships with the package"
+            return shipped if self.name is None else f"{shipped} and has the paper's return"
+        left_out = self.num_left_out and f" ({self.num_left_out} truncated episodes left out)"
+        return f"{self.argument}{left_out or ''}"
 
 
-def open_source(source: str | Path, env_id: str, num_trajectories: int | None) -> Source:
-    """Read demonstrations.
-
-    Args:
-        source: a ``.npz`` file, ``minari:DATASET_ID``, or a directory of the imitation library's.
-        env_id: the environment that they should be of.
-        num_trajectories: no more are needed; what has to be read whole may give more.
+def parse_source(fields: Any, where: str) -> Source | None:
+    """Return the source that ``config.json`` records; None for none.
 
     Raises:
-        UserError: they cannot be read, contradict one another, or are said to be of another
-            environment; what a ``.npz`` file says is left to the caller.
+        UserError: it is not such a record.
     """
-    name, path, num_left_out = str(source), Path(source), 0
-    if name.startswith(MINARI):
-        dataset_id = name.removeprefix(MINARI)
-        demonstrations, num_left_out = load_minari(dataset_id, env_id, num_trajectories)
-    elif _is_directory(path):
-        demonstrations, num_left_out = load_imitation(path, env_id, num_trajectories)
-    else:
-        require_no_pickle(path)
-        demonstrations = load_demonstrations(path)
-    left_out = f" ({num_left_out} cut off, left out)" if num_left_out else ""
-    return Source(demonstrations, f"{name}{left_out}")
+    if fields is None:
+        return None
+    try:
+        source = Source(**fields)
+        count = source.num_left_out
+        is_sound = source.kind in KINDS and type(count) is int and 0 <= count < 2**31
+        is_named = source.kind in ("expert", "memory") or source.name is not None
+        if is_sound and is_named and isinstance(source.name, str | None):
+            return source
+    except TypeError:  # not a mapping, or of other fields
+        pass
+    raise UserError(f"{where}: source is {reprlib.repr(fields)}, not a source of demonstrations")
+
+
+def open_source(
+    demonstrations: str | Path | Demonstrations, env_id: str, num_trajectories: int | None = None
+) -> tuple[Demonstrations, Source]:
+    """Read and validate demonstrations.
+
+    Args:
+        demonstrations: a ``.npz`` file, ``minari:DATASET_ID``, a directory that the imitation
+            library wrote, or demonstrations in memory.
+        env_id: the environment that they should be of.
+        num_trajectories: the number of episodes needed; formats that are read whole give more.
+
+    Raises:
+        UserError: they cannot be read, contradict themselves, or a dataset names another
+            environment. Whether a ``.npz`` file fits the environment is left to the caller.
+    """
+    if isinstance(demonstrations, Demonstrations):
+        checked = validated(vars(demonstrations), "the demonstrations handed in")
+        return checked, Source("memory")
+    argument, path = str(demonstrations), Path(demonstrations)
+    # A file name can hold any bytes, but JSON and TOML can only hold text.
+    name = os.fsencode(argument).decode(errors="backslashreplace")
+    if argument.startswith(MINARI):
+        read, num_left_out = load_minari(argument.removeprefix(MINARI), env_id, num_trajectories)
+        return read, Source("minari", name.removeprefix(MINARI), num_left_out)
+    if _is_directory(path):
+        read, num_left_out = load_imitation(path, env_id, num_trajectories)
+        return read, Source("imitation", name, num_left_out)
+    require_no_pickle(path)
+    return load_demonstrations(path), Source("file", name)
+
+
+def content_hash(demonstrations: Demonstrations) -> str:
+    """Return the SHA-256 of the arrays, which does not depend on the file format."""
+    digest = hashlib.sha256()
+    for name, array in demonstrations.fields().items():
+        digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def require_target(target: str, env_id: str) -> None:
-    """Raise UserError unless :func:`save_recording` can write there: before a long run."""
+    """Raise UserError unless :func:`save_recording` can write to ``target``."""
     if target.startswith(MINARI):
         require_new_minari(target.removeprefix(MINARI), env_id)
     else:
@@ -54,7 +122,7 @@ def require_target(target: str, env_id: str) -> None:
 
 
 def save_recording(recording: Recording, target: str) -> None:
-    """Write a ``.npz`` file or, at ``minari:DATASET_ID``, a new Minari dataset.
+    """Write a ``.npz`` file or, for ``minari:DATASET_ID``, a new Minari dataset.
 
     Raises:
         UserError: it cannot be written.

@@ -1,4 +1,4 @@
-"""The loop around a trainer's ``update``: compiled once, timed, reported."""
+"""The iterations of a trainer: ``update`` is compiled once, timed and reported."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -18,31 +18,31 @@ def iterate(
     num_iterations: int,
     *arguments: Any,
 ) -> Iterator[tuple[Any, IterationReport]]:
-    """Apply ``update`` until ``num_iterations`` are done, and give state and report after each.
+    """Apply ``update`` until ``num_iterations`` are done, and yield state and report after each.
 
-    Or until the state says of all seeds that they are ``finished``, where a trainer can tell.
+    A state may have a field ``finished``; the iterations end early once it is true for all lanes.
 
     Args:
-        update: of one seed; it is applied to all of them together.
-        state: of all seeds, after ``start`` iterations.
-        env_steps: ``(seeds,)`` int64, live steps simulated so far.
+        update: of one lane, that is of one seed of one run; it is applied to all lanes at once.
+        state: of all lanes, after ``start`` iterations.
+        env_steps: ``(lanes,)`` int64, live steps simulated so far.
         start: iterations already done.
-        num_iterations: when to stop.
-        arguments: of ``update``, beside the state; of all seeds.
+        num_iterations: iterations in all.
+        arguments: further arguments of ``update``, for all lanes.
     """
-    if start == num_iterations or _finished(state):
+    if start == num_iterations or finished(state).all():
         return
     started = time.perf_counter()
-    # Compiled ahead, so that it is timed apart, and so that it cannot be compiled again unseen.
+    # Compiled ahead of time, which times it separately and rules out compiling again later.
     compiled = jax.jit(jax.vmap(update)).lower(state, *arguments).compile()
     compile_seconds = time.perf_counter() - started
     for iteration in range(start, num_iterations):
         started = time.perf_counter()
         state, device_metrics = compiled(state, *arguments)
         metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
-        finished = _finished(state)
+        is_over = bool(finished(state).all())
         seconds = time.perf_counter() - started
-        live_steps = metrics["env_steps"].astype(np.int64)  # exact beyond what int32 can count
+        live_steps = metrics["env_steps"].astype(np.int64)  # the sum can exceed 32 bits
         env_steps = env_steps + live_steps
         yield (
             state,
@@ -53,12 +53,13 @@ def iterate(
                 seconds=seconds,
                 env_steps_per_second=live_steps.sum() / seconds,
                 compile_seconds=compile_seconds,
-                finished=finished,
+                finished=is_over,
             ),
         )
-        if finished:
+        if is_over:
             return
 
 
-def _finished(state: Any) -> bool:
-    return bool(np.all(getattr(state, "finished", False)))
+def finished(state: Any) -> np.ndarray:
+    """Tell which lanes have finished; ``()`` False for states that never finish early."""
+    return np.asarray(getattr(state, "finished", False))

@@ -1,54 +1,58 @@
-"""What a run imitates: demonstrations from wherever they are, checked against the task."""
+"""The demonstrations of a run: read, checked against the task, and hashed."""
 
-import os
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ailsrs_jax.data.demonstrations import Demonstrations, validated
-from ailsrs_jax.data.sources import open_source
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.sources import PAPER_EXPERT, Source, content_hash, open_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.spec import RunSpec
 
-NUM_TRAJECTORIES = 10  # of the shipped expert: the paper's fewest
-PAPER_EXPERT = "expert:paper"
-
-# What config.json says of demonstrations that have no name.
-SHIPPED_EXPERT = "of the expert that ships with the package"
-HANDED_IN = "handed in"
+NUM_TRAJECTORIES = 10  # of the shipped expert by default, the paper's smallest number
 
 
-def find_demonstrations(
-    demonstrations: str | Path | Demonstrations | None,
-    num_trajectories: int | None,
-    env_id: str,
-    engine: str,
-) -> tuple[Demonstrations, str]:
-    """The first ``num_trajectories`` of what is asked for, and what to call it.
+class TrainingData(NamedTuple):
+    """The demonstrations that a run is trained on."""
+
+    demonstrations: Demonstrations
+    source: Source
+    sha256: str  # of the arrays
+
+
+def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> TrainingData:
+    """Read the demonstrations of ``spec``, or roll out the shipped expert.
+
+    Args:
+        spec: says which, how many, and whether to subsample them.
+        env: the task, which they have to fit.
+        env_id: its name.
+        engine: the physics engine for the shipped expert.
 
     Raises:
-        UserError: they cannot be read, or there are fewer.
+        UserError: they cannot be read, do not fit the task, or are too few.
     """
-    if demonstrations is None or demonstrations == PAPER_EXPERT:
-        source = demonstrations or SHIPPED_EXPERT
-        of_paper = demonstrations == PAPER_EXPERT
-        num_trajectories = NUM_TRAJECTORIES if num_trajectories is None else num_trajectories
-        demonstrations = expert_demonstrations(env_id, num_trajectories, engine, of_paper=of_paper)
-    elif isinstance(demonstrations, Demonstrations):
-        source = HANDED_IN
-        demonstrations = validated(vars(demonstrations), "the demonstrations handed in")
+    asked, number = spec.demonstrations, spec.num_trajectories
+    if asked is None or asked == PAPER_EXPERT:
+        source = Source("expert", None if asked is None else "paper")
+        number = NUM_TRAJECTORIES if number is None else number
+        of_paper = source.name is not None
+        demonstrations = expert_demonstrations(env_id, number, engine, of_paper=of_paper)
     else:
-        demonstrations, source = open_source(demonstrations, env_id, num_trajectories)
-    if num_trajectories is not None:
-        demonstrations = demonstrations.first(num_trajectories)
-    # A name on the disk can be any bytes, which no other file could hold.
-    return demonstrations, os.fsencode(source).decode(errors="backslashreplace")
+        demonstrations, source = open_source(asked, env_id, number)
+    if number is not None:
+        demonstrations = demonstrations.first(number)
+    require_fit(demonstrations, env_id, env)
+    if spec.subsample != 1:
+        demonstrations = demonstrations.subsample(spec.subsample)
+    return TrainingData(demonstrations, source, content_hash(demonstrations))
 
 
 def require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
-    """Raise UserError unless the demonstrations are of ``env``, in their sizes and actions."""
+    """Raise UserError unless the demonstrations have the sizes and the action range of ``env``."""
     if demonstrations.env_id != env_id:
         raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
     n, p = env_sizes(env)

@@ -37,7 +37,7 @@ def plot_training_curve(directory: Path) -> Path:
     """
     run = read_run(directory)
     figure = draw_curves(run)
-    title = f"{run.algorithm.title} on {run.config['env_id']}"
+    title = f"{run.title} on {run.config['env_id']}"
     if number := run.config["num_trajectories"]:
         title += f" from {number} demonstrations"
     figure.suptitle(title)
@@ -111,9 +111,9 @@ def _draw_expert_score(axes: Axes, metrics: Mapping[str, np.ndarray], color: str
 
 def _explain_returns(axes: Axes, run: SavedRun) -> None:
     """Add the expert's return and a legend; imitators do not train on the return."""
-    if run.algorithm.imitates:
+    if run.imitates:
         axes.set_ylabel("return (not used)")
-    if (expert := run.expert_return()) is not None:
+    if (expert := run.expert_return) is not None:
         axes.axhline(expert, label="expert", **EXPERT)
     axes.legend()
 

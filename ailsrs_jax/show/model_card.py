@@ -1,18 +1,14 @@
 """Model cards: what a policy is, how good, and how it was made, for whoever finds its files."""
 
-import dataclasses
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy
-from ailsrs_jax.data.sources import MINARI
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import Evaluation
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.runs.training_data import HANDED_IN, PAPER_EXPERT, SHIPPED_EXPERT
 
 LICENSE = re.compile(r"[a-z0-9][a-z0-9.+-]{0,50}")  # as the Hugging Face Hub writes them
 
@@ -40,12 +36,7 @@ def find_origin(policy: SavedPolicy, path: Path) -> Origin | None:
             f"{directory} is a run of {run.config['env_id']} with the seeds {run.config['seeds']}: "
             f"{path} is of {policy.env_id} and seed {seed}"
         )
-    source = run.config["demonstrations"]
-    if source not in (None, PAPER_EXPERT) and not source.startswith(MINARI):
-        # The folder that a file was in is nobody else's business.
-        config = {**run.config, "demonstrations": Path(source).name}
-        run = dataclasses.replace(run, config=config)
-    return Origin(run, seed)
+    return Origin(run.without_folder(), seed)
 
 
 def require_license(name: str) -> None:
@@ -70,7 +61,7 @@ def model_card(
         origin: how it was made, if that is known.
         license_id: of the policy, an identifier of the Hub's.
     """
-    algorithm = origin.run.algorithm.title if origin else "A policy"
+    algorithm = origin.run.title if origin else "A policy"
     title = f"{algorithm} on {policy.env_id}"
     kind = "linear" if isinstance(policy, SavedLinearPolicy) else "neural"
     sizes = f"{len(policy.mean)} observations, {len(policy.action_low)} actions"
@@ -78,11 +69,11 @@ def model_card(
     rows = {"task": policy.env_id, "policy": f"{kind}, {sizes}", "return": result}
     made = "It was exported from a file that does not say how the policy was trained."
     if origin is not None:
-        config, command = origin.run.config, origin.run.command()
+        config, command = origin.run.config, origin.run.command
         rows |= {
             "algorithm": f"{algorithm}, preset {config['preset']}",
             "seed": str(origin.seed),
-            "demonstrations": _demonstrations(config),
+            "demonstrations": _demonstrations(origin.run),
             "physics of the training": config["physics"],
             "versions": ", ".join(f"{name} {value}" for name, value in config["versions"].items()),
         }
@@ -118,7 +109,7 @@ def _header(
 ) -> str:
     """YAML, in which every JSON text is a text."""
     tags = ["reinforcement-learning", policy.env_id]
-    if origin is not None and origin.run.algorithm.imitates:
+    if origin is not None and origin.run.imitates:
         tags.insert(0, "imitation-learning")
     quoted = {name: json.dumps(name, ensure_ascii=False) for name in (*tags, title)}
     lines = [
@@ -145,16 +136,14 @@ def _header(
     return "".join(f"{line}\n" for line in lines)
 
 
-def _demonstrations(config: Mapping[str, Any]) -> str:
-    source, every = config["demonstrations"], config["subsample"]
+def _demonstrations(run: SavedRun) -> str:
+    config, source, every = run.config, run.source, run.config["subsample"]
     if source is None:
         return "none: it learnt from the environment's reward"
-    if source not in (SHIPPED_EXPERT, HANDED_IN):
-        source = f"of {source}"
+    described = str(source) if source.kind in ("expert", "memory") else f"of {source}"
     steps = f", every {every}th step" if every not in (None, 1) else ""
-    return (
-        f"{config['num_trajectories']} {source}{steps}; SHA-256 {config['demonstrations_sha256']}"
-    )
+    sha256 = config["demonstrations_sha256"]
+    return f"{config['num_trajectories']} {described}{steps}; SHA-256 {sha256}"
 
 
 def _cell(text: str) -> str:

@@ -88,8 +88,8 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     policies = policies_of(run)
     evaluations, problem = _evaluate(run, policies, episodes)
     learns_from = "the environment's reward"
-    if run.algorithm.imitates:
-        learns_from = f"{config['num_trajectories']} demonstrations {config['demonstrations']}"
+    if run.imitates:
+        learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
     where = " in Gymnasium's own environment" if config["env_id"] in TASKS else ""
     changed = run.changed_settings()
     versions = dict(config["versions"])
@@ -98,7 +98,7 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     caption = f"A dot marks the iteration whose policy is kept. {SCORES}"
     return Page(
         kind="run",
-        title=f"{run.algorithm.title} on {config['env_id']}",
+        title=f"{run.title} on {config['env_id']}",
         subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
         tiles=_tiles(run, evaluations),
         videos=[_video(run, policies)] if video else [],
@@ -106,7 +106,7 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
         tables=[_seed_table(run, evaluations)],
         note="The return is that of the kept policy: mean ± standard deviation over "
         f"{episodes} episodes{where}. {problem}",
-        commands=[run.command() or "Called from Python with objects that no command can name."],
+        commands=[run.command or "Called from Python with objects that no command can name."],
         settings=[
             (name, str(value), name in changed) for name, value in config["settings"].items()
         ],
@@ -128,7 +128,7 @@ def _evaluate(
 
 def _tiles(run: SavedRun, evaluations: Mapping[int, Evaluation]) -> list[Tile]:
     returns = np.array([evaluation.mean for evaluation in evaluations.values()])
-    expert = run.expert_return()
+    expert = run.expert_return
     tiles = []
     if len(returns):
         over = f"mean ± std over {len(returns)} seeds" if len(returns) > 1 else "of one seed"
@@ -169,5 +169,5 @@ def _video(run: SavedRun, policies: Mapping[int, SavedPolicy]) -> Media:
     if not policies:
         return Media(title, None, "No policy is saved yet.")
     seed, policy = next(iter(policies.items()))
-    expert = shipped_expert(run.config["env_id"], run.config)
+    expert = shipped_expert(run.config["env_id"], run.source)
     return play(title, {"policy": policy}, expert, f"The policy of seed {seed}, in real time")

@@ -58,7 +58,7 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
         figures=[*_figures(results), *_discriminators(groups, runs)],
         tables=result_tables(results),
         note=EXPLANATION.replace("*", ""),
-        commands=[command for run in runs.values() if (command := run.command())],
+        commands=[command for run in runs.values() if (command := run.command)],
         settings=[],
         versions=[(name, str(version)) for name, version in versions.items()],
     )
@@ -82,7 +82,7 @@ def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
             for policy in policies_of(shown[series]).values()
         }
         if policies:
-            expert = shipped_expert(task, *(run.config for run in shown.values()))
+            expert = shipped_expert(task, *(run.source for run in shown.values()))
             caption = "The first seed of each, with the most demonstrations, in real time"
             videos.append(play(task, policies, expert, caption))
     return videos

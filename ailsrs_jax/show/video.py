@@ -4,21 +4,20 @@ import base64
 import dataclasses
 import functools
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy, policy_files
+from ailsrs_jax.data.sources import Source, parse_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.config import read_config
-from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.show.renderer import pictures, require_renderer
 from ailsrs_jax.show.replay import Replay, replay
 from ailsrs_jax.show.viewer import viewer_html
@@ -172,14 +171,10 @@ def render(
     return animation
 
 
-def shipped_expert(env_id: str, *configs: Mapping[str, Any]) -> SavedPolicy | None:
-    """Return the expert that ships for the task, if any.
-
-    It is the one of the paper's return if a run with one of these ``configs`` imitates that.
-    """
-    of_paper = any(config.get("demonstrations") == PAPER_EXPERT for config in configs)
+def shipped_expert(env_id: str, *imitated: Source | None) -> SavedPolicy | None:
+    """Return the shipped expert of the task, if any; the paper's if a run ``imitated`` it."""
     try:
-        return load_policy(expert_path(env_id, of_paper=of_paper))
+        return load_policy(expert_path(env_id, of_paper=Source("expert", "paper") in imitated))
     except UserError:
         return None
 
@@ -190,10 +185,10 @@ def _find_expert(
     """Return the expert that was asked for, else the one that ships for the task, if any."""
     if expert is not None:
         return _load(expert, env)
-    configs = []
+    imitated = None
     if not isinstance(policy, SavedPolicy) and (path := Path(policy) / "config.json").is_file():
-        configs = [read_config(path)]
-    return shipped_expert(loaded.env_id, *configs)
+        imitated = parse_source(read_config(path).get("source"), str(path))
+    return shipped_expert(loaded.env_id, imitated)
 
 
 def _load(policy: PolicyOrPath, env: Env | None) -> SavedPolicy:

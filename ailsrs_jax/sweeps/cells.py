@@ -11,7 +11,10 @@ from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import takes_physics
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_json_object, write_atomically
-from ailsrs_jax.runs.run import Plan, make_plan
+from ailsrs_jax.runs.plan import Plan, plan
+from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.trainers.parts.settings import parse
+from ailsrs_jax.trainers.presets import preset_settings
 
 PLAIN_NAME = re.compile(r"\w[\w.=+-]*")  # of a cell: a directory of its own, nowhere else
 MAX_SWEEP = 2**26  # bytes of sweep.json; a cell has about 2000
@@ -49,23 +52,25 @@ class Cell:
         Raises:
             UserError: something of it is wrong, or its demonstrations are not what they were.
         """
-        plan = make_plan(
-            self.env_id,
-            self.demonstrations,
-            self.num_trajectories,
-            (self.seed,),
-            self.preset,
-            self.decided_physics,
-            self.settings,
-            subsample=self.subsample,
+        preset = preset_settings(self.env_id, self.preset, self.algorithm)
+        spec = RunSpec(
+            env=self.env_id,
+            demonstrations=self.demonstrations,
             algorithm=self.algorithm,
+            num_trajectories=self.num_trajectories,
+            subsample=self.subsample,
+            seeds=(self.seed,),
+            preset=self.preset,
+            settings=parse(preset, self.settings),
+            physics=self.decided_physics,
         )
-        if self.demonstrations_sha256 not in (None, plan.config.demonstrations_sha256):
+        made = plan(spec)
+        if self.demonstrations_sha256 not in (None, made.config.demonstrations_sha256):
             raise UserError(
                 f"{self.demonstrations} is not what it was when the sweep began: bring that back, "
                 "or choose another output directory"
             )
-        return plan
+        return made
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,14 +12,16 @@ from typing import Any
 
 import jax
 
+from ailsrs_jax.data.sources import PAPER_EXPERT
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 from ailsrs_jax.files import read_small
-from ailsrs_jax.runs.run import make_plan
+from ailsrs_jax.runs.plan import plan as make_plan
+from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
-from ailsrs_jax.runs.training_data import PAPER_EXPERT
 from ailsrs_jax.sweeps.cells import Cell, Sweep
+from ailsrs_jax.trainers.parts.settings import as_text
 from ailsrs_jax.trainers.presets import changed_settings
 
 # Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
@@ -141,25 +143,26 @@ def _check_group(
     where: str, point: dict[str, Any], seeds: list[int], label: str | None
 ) -> Iterator[Cell]:
     """The cells of one point of the grid, which differ in nothing but the seed."""
-    assignments = {
-        key.removeprefix("settings."): str(value)
+    settings = {
+        key.removeprefix("settings."): value
         for key, value in point.items()
         if key.startswith("settings.")
     }
     try:
         for seed in seeds:
             require_seed(seed)
-        plan = make_plan(
-            point["env"],
-            point["demonstrations"],
-            point["num_trajectories"],
-            seeds[:1],
-            point["preset"],
-            point["physics"],
-            assignments,
-            subsample=point["subsample"],
+        spec = RunSpec(
+            env=point["env"],
+            demonstrations=point["demonstrations"],
             algorithm=point["algorithm"],
+            num_trajectories=point["num_trajectories"],
+            subsample=point["subsample"],
+            seeds=seeds[:1],
+            preset=point["preset"],
+            settings=settings,
+            physics=point["physics"],
         )
+        plan = make_plan(spec)
         jax.eval_shape(lambda: (plan.make_trainer(), 0)[1])  # what it refuses, at no cost
     except UserError as error:
         at = ", ".join(str(point[key]) for key in ("algorithm", "env", "num_trajectories"))
@@ -172,9 +175,12 @@ def _check_group(
         algorithm=config.algorithm,
         env_id=config.env_id,
         preset=config.preset,
-        settings=changed_settings(
-            config.env_id, config.preset, config.algorithm, vars(config.settings)
-        ),
+        settings={
+            name: as_text(value)
+            for name, value in changed_settings(
+                config.env_id, config.preset, config.algorithm, vars(config.settings)
+            ).items()
+        },
         all_settings=dataclasses.asdict(config.settings),
         demonstrations=named,
         # The shipped experts' are simulated where they are needed, and differ by roundings.

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 from ailsrs_jax.errors import InUseError, UserError, one_line
 from ailsrs_jax.files import read_json_object, write_atomically
-from ailsrs_jax.runs.run import Result, execute
-from ailsrs_jax.runs.stacking import execute_stack
+from ailsrs_jax.runs.loop import Result, execute
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.sweeps.cells import Cell, Sweep
@@ -20,7 +19,6 @@ from ailsrs_jax.sweeps.results import DONE, NOT_RUN
 from ailsrs_jax.sweeps.spec import MOST_CELLS, expand, read_spec
 from ailsrs_jax.sweeps.tables import (
     RESULT_FILE,
-    Stopwatch,
     TableRow,
     failed_row,
     finished_row,
@@ -315,16 +313,12 @@ def _train(
     for directory in directories:
         if not (directory / "config.json").exists():
             (directory / RESULT_FILE).unlink(missing_ok=True)  # it has failed before it began
-    stopwatches = [Stopwatch(directory, len(unit)) for directory in directories]
-    if len(unit) > 1:
-        checkpoints = stack_directory / "checkpoints"
-        return execute_stack(plans, directories, checkpoints, stopwatches, watch, track, stop)
-
-    def tell(report: IterationReport) -> None:
-        stopwatches[0](report)
-        if watch is not None:
-            watch(report)
-
-    (plan,), (directory,) = plans, directories
-    started = (directory / "config.json").exists()
-    return [execute(plan, directory, resume=started, track=track, watch=tell, stop=stop)]
+    return execute(
+        plans,
+        directories,
+        checkpoints=stack_directory / "checkpoints" if len(unit) > 1 else None,
+        resume="where begun",
+        track=track,
+        watch=watch,
+        stop=stop,
+    )

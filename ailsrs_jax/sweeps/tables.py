@@ -21,8 +21,8 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
-from ailsrs_jax.runs.run import Result
-from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, read_rows
+from ailsrs_jax.runs.loop import Result
+from ailsrs_jax.runs.storage.metrics import read_metrics, read_rows
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.results import DONE, NOT_RUN, CellResult
@@ -35,28 +35,9 @@ CURVE_COLUMNS = (
 TIMING_COLUMNS = (
     *("cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"),
 )
-RESULT_FILE = "result.json"  # in a cell's directory, when it is finished or has failed
-SECONDS_FILE = "seconds.csv"  # in a cell's directory, a line for each iteration
+RESULT_FILE = "row.json"  # in a cell's directory, when it is finished or has failed
 
 TableRow = Mapping[str, Any]
-
-
-class Stopwatch:
-    """Writes down what each iteration of a cell took, so that a resumed one adds up."""
-
-    def __init__(self, directory: Path, share: int = 1) -> None:
-        """Of one of ``share`` cells that are trained together, each with its part of the time."""
-        self._path = directory / SECONDS_FILE
-        self._share = share
-        self._compiled = False
-
-    def __call__(self, report: IterationReport) -> None:
-        """Note what this iteration took, and what compiling took before the first one."""
-        compiling = 0.0 if self._compiled else report.compile_seconds or 0.0
-        self._compiled = True
-        with self._path.open("a") as file:
-            values = (report.iteration, report.seconds / self._share, compiling / self._share)
-            file.write(f"{','.join(map(str, values))}\n")
 
 
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
@@ -133,28 +114,23 @@ def cell_columns(cell: Cell) -> dict[str, Any]:
 
 
 def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow | None:
-    """What ``timings.csv`` says of a cell that is trained; None if not every iteration was timed.
-
-    That is so where something else than a sweep went on with it, or a disk was full.
-    """
+    """What ``timings.csv`` says of a trained cell; None if not every iteration was timed."""
     try:
-        lines = [line.split(",") for line in (directory / SECONDS_FILE).read_text().splitlines()]
-        # The last of each iteration: what a killed process did twice counts once.
-        seconds = {int(line[0]): float(line[1]) for line in lines if len(line) == 3}
-        compiling = sum(float(line[2]) for line in lines if len(line) == 3)
-    except (OSError, ValueError):
+        times = read_metrics(directory / "seconds.csv")
+        seconds, compiling = times["seconds"], times["compile_seconds"]
+    except (UserError, KeyError):
         return None
-    if sorted(seconds) != list(range(row["iterations"])):
+    if len(seconds) != row["iterations"]:
         return None
     to_90 = None
     if row["steps_to_90"] is not None:
         steps = read_metrics(directory / "metrics.csv")["env_steps"]
         reached = int(np.searchsorted(steps, row["steps_to_90"]))
-        to_90 = sum(seconds[index] for index in range(reached + 1))
+        to_90 = float(seconds[: reached + 1].sum())
     return {
         "cell": cell.name,
-        "train_seconds": sum(seconds.values()),
-        "compile_seconds": compiling,
+        "train_seconds": float(seconds.sum()),
+        "compile_seconds": float(compiling.sum()),
         "seconds_to_90_percent": to_90,
         "hardware": hardware(),
     }

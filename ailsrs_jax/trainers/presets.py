@@ -11,7 +11,6 @@ from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.ars import ArsSettings
 from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings
 from ailsrs_jax.trainers.gail import GailSettings
-from ailsrs_jax.trainers.parts.settings import as_text
 from ailsrs_jax.trainers.trpo import TrpoSettings
 
 PRESETS = ("tuned", "paper")
@@ -201,15 +200,15 @@ def preset_settings(env: str, preset: str, algorithm: str = "ailsrs") -> Any:
 
 def changed_settings(
     env_id: str, preset: str, algorithm: str, settings: Mapping[str, Any]
-) -> dict[str, str]:
-    """What of ``settings`` differs from the preset, as text, sorted.
+) -> dict[str, Any]:
+    """What of ``settings`` differs from the preset, sorted.
 
     Raises:
         UserError: there is no such preset, or no such algorithm.
     """
     values = vars(preset_settings(env_id, preset, algorithm))
     return {
-        name: as_text(value)
+        name: value
         for name, value in sorted(settings.items())
         if name not in values or value != values[name]
     }

@@ -3,15 +3,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.data.demonstrations import load_demonstrations
-from ailsrs_jax.data.policies import SavedLinearPolicy, expert_path, load_policy
+from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.sources import content_hash
 from ailsrs_jax.runs.evaluation import evaluate
-from ailsrs_jax.runs.storage.config import content_hash
 from ailsrs_jax.show.curves import plot_training_curve
 
 TINY = [
@@ -34,6 +35,16 @@ def ailsrs(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
+
+
+@pytest.fixture
+def few_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Policies that a command has trained are evaluated in 2 episodes, not 100."""
+
+    def measure(policy: SavedPolicy, num_episodes: int = 2, *rest: Any, **options: Any) -> Any:
+        return evaluate(policy, num_episodes, *rest, **options)
+
+    monkeypatch.setattr("ailsrs_jax.runs.evaluation.evaluate", measure)
 
 
 def broken_file(kind: str) -> Path:

@@ -7,7 +7,14 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.episodes import Recording
-from ailsrs_jax.data.sources import open_source, require_target, save_recording
+from ailsrs_jax.data.sources import (
+    PAPER_EXPERT,
+    Source,
+    open_source,
+    parse_source,
+    require_target,
+    save_recording,
+)
 from ailsrs_jax.errors import UserError
 from tests.data.formats.test_imitation import trajectory, write
 
@@ -32,8 +39,9 @@ def test_what_is_written_is_read(target: str, in_tmp_path: Path) -> None:
     recording = swimmer_recording()
     require_target(target, "Swimmer-v5")
     save_recording(recording, target)
-    demonstrations, description = open_source(target, "Swimmer-v5", None)
-    assert description == target
+    demonstrations, source = open_source(target, "Swimmer-v5")
+    assert source.argument == str(source) == target
+    assert parse_source(vars(source), "config.json") == source
     for name in ("observations", "actions", "lengths", "env_id"):
         np.testing.assert_array_equal(
             getattr(demonstrations, name), getattr(recording.demonstrations, name)
@@ -43,10 +51,11 @@ def test_what_is_written_is_read(target: str, in_tmp_path: Path) -> None:
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     directory = write(tmp_path / "d", trajectory(), trajectory(3, terminal=False), trajectory())
-    demonstrations, description = open_source(directory, "Swimmer-v5", None)
+    demonstrations, source = open_source(directory, "Swimmer-v5")
     assert demonstrations.num_trajectories == 2
-    assert description == f"{directory} (1 cut off, left out)"
-    assert open_source(str(directory), "Swimmer-v5", 1).description == str(directory)
+    assert source == Source("imitation", str(directory), num_left_out=1)
+    assert str(source) == f"{directory} (1 truncated episodes left out)"
+    assert open_source(str(directory), "Swimmer-v5", 1)[1] == Source("imitation", str(directory))
 
 
 def test_what_is_nowhere(tmp_path: Path) -> None:
@@ -56,4 +65,30 @@ def test_what_is_nowhere(tmp_path: Path) -> None:
         tmp_path: "was not written by imitation.data.serialize.save",
     }.items():
         with pytest.raises(UserError, match=message):
-            open_source(source, "Swimmer-v5", None)
+            open_source(source, "Swimmer-v5")
+
+
+def test_the_argument_names_the_source() -> None:
+    assert Source("expert").argument is None
+    assert Source("expert", "paper").argument == PAPER_EXPERT
+    assert Source("minari", "mujoco/hopper/expert-v0").argument == "minari:mujoco/hopper/expert-v0"
+    assert Source("file", "mine.npz").argument == "mine.npz"
+    assert Source("memory").argument is None
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "mine.npz",
+        {"kind": "web"},
+        {"kind": "file"},
+        {"kind": "file", "name": 3},
+        {"kind": "file", "name": "a", "num_left_out": -1},
+        {"kind": "file", "name": "a", "num_left_out": 2**40},
+        {"kind": ["file"], "name": "a"},
+        {"kind": "expert", "more": 1},
+    ],
+)
+def test_a_damaged_source_is_one_line(fields: object) -> None:
+    with pytest.raises(UserError, match=r"config\.json: source is .*, not a source of demonstr"):
+        parse_source(fields, "config.json")

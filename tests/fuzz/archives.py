@@ -195,6 +195,6 @@ def read_policy(path: Path) -> object:
 def read_demonstrations(path: Path) -> object:
     from ailsrs_jax.data.sources import open_source
 
-    demonstrations = open_source(path, "Hopper-v5", None).demonstrations
+    demonstrations = open_source(path, "Hopper-v5")[0]
     assert np.isfinite(demonstrations.observations).all()
     return demonstrations.subsample(1)

@@ -126,4 +126,4 @@ def read_minari(path: Path) -> object:
 def read_imitation(path: Path) -> object:
     from ailsrs_jax.data.sources import open_source
 
-    return open_source(path, "Hopper-v5", None)
+    return open_source(path, "Hopper-v5")

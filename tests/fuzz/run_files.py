@@ -14,6 +14,7 @@ from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutated_json
 
 
 def config() -> Any:
+    from ailsrs_jax.data.sources import Source
     from ailsrs_jax.runs.storage.config import RunConfig
     from ailsrs_jax.trainers.presets import preset_settings
 
@@ -25,7 +26,7 @@ def config() -> Any:
         preset="tuned",
         settings=preset_settings("Swimmer-v5", "tuned"),
         num_trajectories=10,
-        demonstrations="of nobody",
+        source=Source("file", "nobody's.npz"),
         demonstrations_sha256="0" * 64,
         subsample=1,
     )
@@ -51,7 +52,7 @@ def read_metrics(path: Path) -> object:
     from ailsrs_jax.runs.storage import metrics
 
     with contextlib.suppress(UserError):  # one of its readers is enough to refuse it
-        metrics.MetricsFile(path, (0, 5), 3)
+        metrics.CsvFile(path, [(i, seed) for i in range(3) for seed in (0, 5)])
     return metrics.read_metrics(path)
 
 
@@ -63,6 +64,10 @@ def make_run(path: Path, rng: Rng) -> None:
     whole = json.dumps(config().as_json()).encode()
     damaged = mutated_json(config().as_json(), rng) if rng.random() < 0.6 else whole
     (path / "config.json").write_bytes(damaged)
+    result = {"command": "ailsrs train swimmer", "expert_return": {"mean": 1.0, "std": 0.0}}
+    result["seeds"] = {"5": {"kept_iteration": 2, "score": -0.5}}
+    whole = json.dumps(result).encode()
+    (path / "result.json").write_bytes(mutated_json(result, rng) if rng.random() < 0.5 else whole)
     make_csv(rows, path / "metrics.csv", rng)
 
 
@@ -82,7 +87,7 @@ def read_saved_run(path: Path) -> object:
     from ailsrs_jax.runs.storage.saved_run import read_run
 
     run = read_run(path)
-    return run.kept_iterations, run.command(), run.changed_settings()
+    return run.kept_iterations, run.command, run.expert_return, run.changed_settings()
 
 
 def checkpoint_state() -> Any:

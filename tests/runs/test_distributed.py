@@ -54,7 +54,7 @@ def check_resuming(output: Path, job: dict[str, str]) -> None:
     damaged.write_bytes(b"x" + damaged.read_bytes()[1:])
     first, second = map(finish, start_two(output, "ars", job, "--resume"))
     assert first.count("checkpoint 2 in") == 1
-    assert "is damaged: going on from 1" in first
+    assert "is damaged: resuming from 1" in first
     assert "damaged" not in second
     assert (output / "metrics.csv").read_bytes() == whole
 
@@ -63,7 +63,7 @@ def check_resuming(output: Path, job: dict[str, str]) -> None:
     first, second = (process.communicate(timeout=240)[0] for process in processes)
     assert [process.returncode for process in processes] == [2, 2]
     assert "metrics.csv lacks" in first.splitlines()[-1]
-    assert second.splitlines()[-1] == "ailsrs: it has failed in another process of the run"
+    assert second.splitlines()[-1] == "ailsrs: another process of this run has failed"
 
 
 def finish(process: subprocess.Popen[str]) -> str:

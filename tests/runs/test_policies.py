@@ -4,7 +4,8 @@ import numpy as np
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.data.policies import load_policy
-from ailsrs_jax.runs.policies import jax_policy, saved_policy
+from ailsrs_jax.runs.policies import jax_policy
+from ailsrs_jax.runs.storage.policies import saved_policy
 
 
 def test_numpy_and_jax_agree(tmp_path) -> None:

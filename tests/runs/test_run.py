@@ -11,21 +11,26 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import load_policy
+from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
+from ailsrs_jax.runs.loop import Result
+from ailsrs_jax.runs.plan import Plan, plan
+from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.metrics import IterationReport
+from tests.runs import toy_run
 
-ASSIGNMENTS = {
-    "num_iterations": "12",
-    "num_directions": "2",
-    "num_top_directions": "2",
-    "episode_length": "10",
-    "discriminator_batch_size": "16",
-    "memory_samples": "16",
-    "num_distance_samples": "50",
+SETTINGS = {
+    "num_iterations": 12,
+    "num_directions": 2,
+    "num_top_directions": 2,
+    "episode_length": 10,
+    "discriminator_batch_size": 16,
+    "memory_samples": 16,
+    "num_distance_samples": 50,
 }
 
 
@@ -40,26 +45,25 @@ def swimmer_demonstrations() -> Demonstrations:
     )
 
 
-def make_plan(**changes: Any) -> run.Plan:
-    arguments: dict[str, Any] = {
+def make_plan(**changes: Any) -> Plan:
+    fields: dict[str, Any] = {
         "env": "swimmer",
         "demonstrations": swimmer_demonstrations(),
         "num_trajectories": 2,
         "seeds": (0, 5),
-        "preset": "tuned",
         "physics": "mujoco",
-        "assignments": ASSIGNMENTS,
+        "settings": SETTINGS,
     }
-    return run.make_plan(**(arguments | changes))
+    return plan(RunSpec(**(fields | changes)))
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, run.Result]:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     directory = tmp_path_factory.mktemp("run") / "whole"
-    return directory, run.execute(make_plan(), directory)
+    return directory, toy_run.run(make_plan(), directory)
 
 
-def test_directory_holds_what_is_promised(finished: tuple[Path, run.Result]) -> None:
+def test_directory_holds_what_is_promised(finished: tuple[Path, Result]) -> None:
     directory, result = finished
     config = json.loads((directory / "config.json").read_text())
     assert config["env_id"] == "Swimmer-v5"
@@ -86,7 +90,7 @@ def test_directory_holds_what_is_promised(finished: tuple[Path, run.Result]) -> 
 
 
 def test_interrupted_and_resumed_is_bitwise_the_same(
-    finished: tuple[Path, run.Result], tmp_path: Path
+    finished: tuple[Path, Result], tmp_path: Path
 ) -> None:
     directory, result = finished
 
@@ -100,8 +104,8 @@ def test_interrupted_and_resumed_is_bitwise_the_same(
 
     interrupted = tmp_path / "interrupted"
     with pytest.raises(KilledError):
-        run.execute(make_plan(), interrupted, watch=kill)
-    resumed = run.execute(make_plan(), interrupted, resume=True)
+        toy_run.run(make_plan(), interrupted, watch=kill)
+    resumed = toy_run.run(make_plan(), interrupted, resume=True)
     assert (interrupted / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
     for seed, policy in result.policies.items():
         np.testing.assert_array_equal(resumed.policies[seed].weights, policy.weights)
@@ -110,40 +114,40 @@ def test_interrupted_and_resumed_is_bitwise_the_same(
 
 
 def test_the_same_command_gives_the_same_bits(
-    finished: tuple[Path, run.Result], tmp_path: Path
+    finished: tuple[Path, Result], tmp_path: Path
 ) -> None:
     """Compiled anew, and on the C engine, whose threads take simulations as they come."""
     directory, _ = finished
-    run.execute(make_plan(), tmp_path / "again")
+    toy_run.run(make_plan(), tmp_path / "again")
     names = ("metrics.csv", "config.json", "seed_0/policy.npz", "seed_5/policy.npz")
     for name in names:
         assert (tmp_path / "again" / name).read_bytes() == (directory / name).read_bytes(), name
 
 
 def test_resuming_a_finished_run_changes_nothing(
-    finished: tuple[Path, run.Result], tmp_path: Path
+    finished: tuple[Path, Result], tmp_path: Path
 ) -> None:
     directory, result = finished
     copy = tmp_path / "copy"
     shutil.copytree(directory, copy)
-    again = run.execute(make_plan(), copy, resume=True)
+    again = toy_run.run(make_plan(), copy, resume=True)
     assert (copy / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
     np.testing.assert_array_equal(again.policies[5].weights, result.policies[5].weights)
 
 
 def test_another_run_is_never_overwritten_or_continued(
-    finished: tuple[Path, run.Result], tmp_path: Path
+    finished: tuple[Path, Result], tmp_path: Path
 ) -> None:
     directory, _ = finished
     with pytest.raises(UserError, match="not empty: add --resume"):
-        run.execute(make_plan(), directory)
-    changed = make_plan(assignments=ASSIGNMENTS | {"noise_std": "0.5"})
+        toy_run.run(make_plan(), directory)
+    changed = make_plan(settings=SETTINGS | {"noise_std": 0.5})
     with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
-        run.execute(changed, directory, resume=True)
+        toy_run.run(changed, directory, resume=True)
     with pytest.raises(UserError, match="resume needs output"):
-        run.execute(make_plan(), resume=True)
+        toy_run.run(make_plan(), resume=True)
     with pytest.raises(UserError, match="nothing to resume"):
-        run.execute(make_plan(), tmp_path / "nowhere", resume=True)
+        toy_run.run(make_plan(), tmp_path / "nowhere", resume=True)
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe"])
@@ -167,27 +171,29 @@ def test_a_lock_that_is_something_else_is_left_alone(kind: str, tmp_path: Path) 
 
 
 def test_other_versions_and_lost_rows_are_refused(
-    finished: tuple[Path, run.Result], tmp_path: Path
+    finished: tuple[Path, Result], tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(finished[0], copy)
     config = json.loads((copy / "config.json").read_text())
     config["versions"]["jax"] = "0.1.2"
     (copy / "config.json").write_text(json.dumps(config))
-    with pytest.raises(UserError, match=r"versions\.jax is '.*', was '0\.1\.2'; install those, or"):
-        run.execute(make_plan(), copy, resume=True)
+    with pytest.raises(
+        UserError, match=r"versions\.jax is '.*', was '0\.1\.2'; install those versions, or edit"
+    ):
+        toy_run.run(make_plan(), copy, resume=True)
 
-    changed = make_plan(assignments=ASSIGNMENTS | {"noise_std": "0.5"})
+    changed = make_plan(settings=SETTINGS | {"noise_std": 0.5})
     changed.config.save(copy / "config.json")
     with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
-        run.execute(changed, copy, resume=True)  # the checkpoints are of another run
+        toy_run.run(changed, copy, resume=True)  # the checkpoints are of another run
 
     shutil.copy(finished[0] / "config.json", copy)
     rows = (copy / "metrics.csv").read_text().splitlines(keepends=True)
     for damaged in (rows[:7] + rows[8:], rows[:-1], rows[:8] + rows[7:], [rows[0][:30], *rows[1:]]):
         (copy / "metrics.csv").write_text("".join(damaged))
         with pytest.raises(UserError, match="lacks rows of the 12 iterations done"):
-            run.execute(make_plan(), copy, resume=True)
+            toy_run.run(make_plan(), copy, resume=True)
 
 
 def test_checkpoints_hold_random_keys_and_large_counts(tmp_path: Path) -> None:
@@ -207,7 +213,7 @@ def test_checkpoints_hold_random_keys_and_large_counts(tmp_path: Path) -> None:
 
 def test_python_api_writes_nothing_unless_asked(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    settings = {name: int(value) for name, value in ASSIGNMENTS.items()} | {"num_iterations": 1}
+    settings = SETTINGS | {"num_iterations": 1}
     seen: list[int] = []
     result = run.train(
         "swimmer",
@@ -232,24 +238,22 @@ WRONG = {
     "hold 3": {"num_trajectories": 4},
     "are of Swimmer-v5, not of Hopper-v5": {"env": "hopper"},
     "no such file": {"demonstrations": "missing.npz"},
-    "there is no setting 'learning_rate'": {"assignments": {"learning_rate": "1"}},
-    "noise_std is 'big': it must be a number": {"assignments": {"noise_std": "big"}},
-    "num_directions is '2.5': it must be a whole number": {
-        "assignments": {"num_directions": "2.5"}
-    },
-    "behavior_cloning_start is '1': it must be true or false": {
-        "assignments": {"behavior_cloning_start": "1"}
+    "there is no setting 'learning_rate'": {"settings": {"learning_rate": 1}},
+    "noise_std is big: it must be a number": {"settings": {"noise_std": "big"}},
+    "num_directions is 2.5: it must be a whole number": {"settings": {"num_directions": 2.5}},
+    "behavior_cloning_start is 1: it must be true or false": {
+        "settings": {"behavior_cloning_start": 1}
     },
     "num_top_directions is 9: it must be from 1 to num_directions": {
-        "assignments": {"num_directions": "8", "num_top_directions": "9"}
+        "settings": {"num_directions": 8, "num_top_directions": 9}
     },
-    "noise_std is 0.0: it must be positive": {"assignments": {"noise_std": "0"}},
-    "step_size is nan: it must be finite": {"assignments": {"step_size": "nan"}},
-    "standardize_with is 'max': it must be running or expert": {
-        "assignments": {"standardize_with": "max"}
+    "noise_std is 0.0: it must be positive": {"settings": {"noise_std": 0}},
+    "step_size is nan: it must be finite": {"settings": {"step_size": float("nan")}},
+    "standardize_with is max: it must be running or expert": {
+        "settings": {"standardize_with": "max"}
     },
-    "reward_after_end is 1.5: it must be at most 1": {"assignments": {"reward_after_end": "1.5"}},
-    "rollout_batch_size is of random search": {"algorithm": "bc", "rollout_batch_size": 8},
+    "reward_after_end is 1.5: it must be at most 1": {"settings": {"reward_after_end": 1.5}},
+    "rollout_batch_size is for random search": {"algorithm": "bc", "rollout_batch_size": 8},
 }
 
 
@@ -276,7 +280,7 @@ def test_a_name_of_any_bytes_can_be_written_down(tmp_path: Path) -> None:
     config = make_plan(demonstrations=path).config
     config.save(tmp_path / "config.json")
     config.require_same(read_config(tmp_path / "config.json"), tmp_path / "config.json")
-    assert config.demonstrations == str(tmp_path / r"d\xe9mos.npz")
+    assert config.source == Source("file", str(tmp_path / r"d\xe9mos.npz"))
 
 
 def test_all_demonstrations_of_ones_own_are_used_unless_told() -> None:

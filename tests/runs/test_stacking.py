@@ -11,11 +11,14 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs import run
-from ailsrs_jax.runs.stacking import execute_stack, stack_key
+from ailsrs_jax.runs.loop import execute
+from ailsrs_jax.runs.plan import Plan, plan
+from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.trainers.parts.devices import ONE_DEVICE
 from tests.exploding import ExplodingPointMass
 from tests.point_mass import PointMass
+from tests.runs import toy_run
 from tests.runs.storage.test_tracking import require_events
 from tests.trainers.test_algorithms import TINY
 
@@ -38,24 +41,31 @@ CHANGES: dict[str, list[dict[str, Any]]] = {
 }
 
 
-def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[run.Plan]:
+def one_device(*arguments: Any, **fields: Any) -> Plan:
+    return dataclasses.replace(plan(RunSpec(*arguments, **fields)), devices=ONE_DEVICE)
+
+
+def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[Plan]:
     made = []
     for seed, changes in enumerate(CHANGES[algorithm]):
         settings = TINY[algorithm] | changes
         number = settings.pop("num_trajectories", None)
         made.append(
-            run.make_plan(
+            one_device(
                 env,
                 expert if algorithm not in ("ars", "trpo") else None,
-                number,
-                (seed,),
-                "tuned",
-                "auto",
-                {name: str(value) for name, value in settings.items()},
                 algorithm=algorithm,
+                num_trajectories=number,
+                seeds=(seed,),
+                settings=settings,
             )
         )
-    return [dataclasses.replace(plan, devices=ONE_DEVICE) for plan in made]
+    return made
+
+
+def execute_stack(cells: list[Plan], outputs: list[Path], stack: Path, **options: Any) -> list[Any]:
+    """Train the cells together, or go on with them."""
+    return execute(cells, outputs, checkpoints=stack, resume="where begun", **options)
 
 
 def metrics(path: Path) -> dict[str, np.ndarray]:
@@ -79,12 +89,10 @@ def test_stacked_runs_are_those_alone(
     cells = plans(point_mass, point_mass_expert, algorithm)
     assert len(set(map(stack_key, cells))) == 1
     directories = [tmp_path / "stacked" / str(index) for index in range(len(cells))]
-    stacked = execute_stack(
-        cells, directories, tmp_path / "stack", [lambda report: None] * len(cells)
-    )
-    for index, plan in enumerate(cells):
-        alone = run.execute(plan, tmp_path / "alone" / str(index))
-        (seed,) = plan.config.seeds
+    stacked = execute_stack(cells, directories, tmp_path / "stack")
+    for index, cell in enumerate(cells):
+        alone = toy_run.run(cell, tmp_path / "alone" / str(index))
+        (seed,) = cell.config.seeds
         assert stacked[index].kept_iterations == alone.kept_iterations
         ours, theirs = (vars(result.policies[seed]) for result in (stacked[index], alone))
         for name in ours.keys() - {"env_id"}:
@@ -106,18 +114,11 @@ def test_a_stack_goes_on_where_some_are_finished(
     point_mass: PointMass, point_mass_expert: Demonstrations, tmp_path: Path
 ) -> None:
     cells = [
-        dataclasses.replace(
-            run.make_plan(
-                point_mass,
-                point_mass_expert,
-                None,
-                (0,),
-                "tuned",
-                "auto",
-                {"num_iterations": "30", "patience": "1", "learning_rate": str(rate)},
-                algorithm="bc",
-            ),
-            devices=ONE_DEVICE,
+        one_device(
+            point_mass,
+            point_mass_expert,
+            algorithm="bc",
+            settings={"num_iterations": 30, "patience": 1, "learning_rate": rate},
         )
         for rate in (1e-3, 0.3)
     ]
@@ -128,7 +129,6 @@ def test_a_stack_goes_on_where_some_are_finished(
             cells,
             [tmp_path / name / str(index) for index in range(2)],
             tmp_path / name / "stack",
-            [lambda report: None] * 2,
             stop=lambda: next(calls, None) is None,
         )
 
@@ -144,25 +144,20 @@ def test_a_stack_goes_on_where_some_are_finished(
 
 
 def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -> None:
-    settings = {name: str(value) for name, value in TINY["ars"].items()}
     env = ExplodingPointMass(share=0.45)
     cells = [
-        dataclasses.replace(
-            run.make_plan(env, None, None, (seed,), "tuned", "auto", settings, algorithm="ars"),
-            devices=ONE_DEVICE,
-        )
-        for seed in range(4)
+        one_device(env, algorithm="ars", seeds=(seed,), settings=TINY["ars"]) for seed in range(4)
     ]
     outputs = [tmp_path / str(seed) for seed in range(4)]
 
     def outcomes() -> list[str]:
-        results = execute_stack(cells, outputs, tmp_path / "stack", [lambda report: None] * 4)
+        results = execute_stack(cells, outputs, tmp_path / "stack")
         return [str(result) if isinstance(result, UserError) else "done" for result in results]
 
     alone = []
-    for plan in cells:
+    for cell in cells:
         try:
-            run.execute(plan, tmp_path / "alone" / str(plan.config.seeds[0]))
+            toy_run.run(cell, tmp_path / "alone" / str(cell.config.seeds[0]))
             alone.append("done")
         except UserError as error:
             alone.append(str(error))
@@ -174,10 +169,7 @@ def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -
 def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
     def key(expert: Demonstrations = point_mass_expert, **changes: Any) -> Any:
         settings = TINY["ailsrs"] | {"gradient_penalty": 1.0} | changes
-        assignments = {name: str(value) for name, value in settings.items()}
-        return stack_key(
-            run.make_plan(point_mass, expert, None, (0,), "tuned", "auto", assignments)
-        )
+        return stack_key(plan(RunSpec(point_mass, expert, settings=settings)))
 
     assert key() == key(gradient_penalty=2.0, step_size=1.0)
     assert key() == key(point_mass_expert.first(2))

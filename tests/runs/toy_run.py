@@ -6,26 +6,30 @@ something to go on from, and stops as the command line does.
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ailsrs_jax.cli.signals import StopSignals
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs import run
+from ailsrs_jax.runs.loop import Result, execute
+from ailsrs_jax.runs.plan import Plan
+from ailsrs_jax.runs.plan import plan as make_plan
+from ailsrs_jax.runs.spec import RunSpec
 from tests.point_mass import PointMass
 
-SEARCH = {"num_directions": "4", "num_top_directions": "2", "episode_length": "20"}
+SEARCH = {"num_directions": 4, "num_top_directions": 2, "episode_length": 20}
 ADVERSARY = {
-    "discriminator_batch_size": "16",
-    "memory_iterations": "3",
-    "memory_samples": "80",
-    "num_distance_samples": "50",
+    "discriminator_batch_size": 16,
+    "memory_iterations": 3,
+    "memory_samples": 80,
+    "num_distance_samples": 50,
 }
 SEEDS = (0, 5)
 
 
-def plan(num_iterations: int, algorithm: str) -> run.Plan:
+def plan(num_iterations: int, algorithm: str) -> Plan:
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
         observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
@@ -34,29 +38,34 @@ def plan(num_iterations: int, algorithm: str) -> run.Plan:
         returns=np.ones(3, np.float32),
         env_id="PointMass",
     )
-    settings = SEARCH | {"num_iterations": str(num_iterations)}
+    settings = SEARCH | {"num_iterations": num_iterations}
     if algorithm == "ailsrs":
         settings |= ADVERSARY
-    return run.make_plan(
+    spec = RunSpec(
         PointMass(),
         demonstrations if algorithm == "ailsrs" else None,
-        None,
-        SEEDS,
-        "tuned",
-        "auto",
-        settings,
         algorithm=algorithm,
+        seeds=SEEDS,
+        settings=settings,
     )
+    return make_plan(spec)
+
+
+def run(plan: Plan, output: Path | None = None, **options: Any) -> Result:
+    """Train one run."""
+    (result,) = execute([plan], [output], **options)
+    assert isinstance(result, Result)
+    return result
 
 
 def main(output: Path, num_iterations: int, checkpoint_every: int, algorithm: str) -> None:
     stop = StopSignals()
     try:
         with stop:
-            run.execute(
+            run(
                 plan(num_iterations, algorithm),
                 output,
-                resume=(output / "config.json").exists(),
+                resume="where begun",
                 checkpoint_every=checkpoint_every,
                 stop=stop,
             )

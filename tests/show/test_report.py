@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax.data.sources import Source
 from ailsrs_jax.runs.storage.config import RunConfig
-from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show import renderer as offscreen
 from ailsrs_jax.show.page import Media, Page, Tile
 from ailsrs_jax.show.sweep_report import Table
@@ -50,7 +50,7 @@ def write_run(directory: Path, **changes: Any) -> Path:
         preset="tuned",
         settings=settings,
         num_trajectories=8,
-        demonstrations="mine.npz",
+        source=Source("file", "mine.npz"),
         demonstrations_sha256="0" * 64,
         subsample=1,
     )
@@ -58,6 +58,16 @@ def write_run(directory: Path, **changes: Any) -> Path:
     directory.mkdir(parents=True)
     (directory / "config.json").write_text(json.dumps(fields))
     (directory / "metrics.csv").write_text(METRICS)
+    command = f"ailsrs train {POINT_MASS} --demonstrations mine.npz --num-trajectories 8"
+    result = {
+        "command": f"{command} --seeds 0 3 --set noise_std=0.05",
+        "expert_return": {"mean": -20.0, "std": 1.0},
+        "seeds": {
+            "0": {"kept_iteration": 1, "score": -0.25},
+            "3": {"kept_iteration": 2, "score": -0.7},
+        },
+    }
+    (directory / "result.json").write_text(json.dumps(result))
     ones = np.ones(1)
     ail.SavedLinearPolicy(
         weights=EXPERT_WEIGHTS,
@@ -129,11 +139,12 @@ def test_a_run(tmp_path: Path) -> None:
 
 def test_names_from_files_are_only_text(tmp_path: Path) -> None:
     versions = {HOSTILE: HOSTILE}
-    changes = {"demonstrations": HOSTILE, "preset": HOSTILE, "versions": versions}
+    source = {"kind": "file", "name": HOSTILE, "num_left_out": 0}
+    changes = {"source": source, "preset": HOSTILE, "versions": versions}
     run = write_run(tmp_path / "run", **changes, settings={HOSTILE: HOSTILE})
     page = Reader(ail.report(run, tmp_path / "page.html", episodes=1, video=False))
     require_harmless(page)
-    assert page.text.count(HOSTILE) >= 6
+    assert page.text.count(HOSTILE) >= 5
 
 
 def test_a_sweep(tmp_path: Path) -> None:
@@ -173,27 +184,6 @@ def test_a_sweep_shows_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "no video: MUJOCO_GL=disabled fails here; on Debian or Ubuntu: apt-get" in page.text
     assert f"ailsrs train {POINT_MASS}" in page.text
     assert "Discriminator's scores The gap between" in page.text
-
-
-def test_a_command_makes_the_same_run_again(tmp_path: Path) -> None:
-    shipped = {
-        "env_id": "Hopper-v5",
-        "demonstrations": "of the expert that ships with the package",
-        "num_trajectories": 10,
-        "preset": "paper",
-        "physics": "mujoco",
-        "settings": dataclasses.asdict(preset_settings("Hopper-v5", "paper")),
-    }
-    run = read_run(write_run(tmp_path / "shipped", **shipped))
-    assert run.command() == "ailsrs train hopper --seeds 0 3 --preset paper --physics mujoco"
-    cut = {"demonstrations": "my data (3 cut off, left out)", "subsample": 20}
-    command = read_run(write_run(tmp_path / "cut", **cut)).command() or ""
-    assert "--demonstrations 'my data' --num-trajectories 8 --subsample 20" in command
-    for name, changes in {
-        "memory": {"demonstrations": "handed in"},
-        "object": {"env_id": "PointMass"},
-    }.items():
-        assert read_run(write_run(tmp_path / name, **changes)).command() is None
 
 
 @pytest.mark.parametrize(

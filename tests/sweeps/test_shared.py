@@ -56,7 +56,7 @@ def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
     ail.sweep(spec, "shard")
     (cell,) = expand(spec).cells
     theirs, ours = (Path(sweep, "cells", cell.name) for sweep in ("shard", "merged"))
-    done = (theirs / "result.json").read_text()
+    done = (theirs / "row.json").read_text()
     save_result(theirs, failed_row(cell, "no space"), None)
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "merged", watch=Watch(KeyboardInterrupt(), at=11))
@@ -65,7 +65,7 @@ def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
     assert (ours / "metrics.csv").read_bytes() == metrics
     assert (ours / "checkpoints" / "10").exists()
 
-    (theirs / "result.json").write_text(done)
+    (theirs / "row.json").write_text(done)
     (theirs / "more").symlink_to("/dev/zero")
     with pytest.raises(ail.UserError, match="more is no file"):
         merge_sweeps("merged", ["shard"])
@@ -97,7 +97,7 @@ def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
         rows = ail.sweep(spec, "sweep", max_parallel=1, watch=watch)
     assert [row["status"] for row in rows] == ["not run", "done"]
     assert "another process is writing to" in watch.rows[0]["status"]
-    assert not (directory / "result.json").exists()
+    assert not (directory / "row.json").exists()
 
     again = Watch()  # who has seen that something is left to do, which is done meanwhile
     run_units(expand(spec), units[1:], Path("sweep"), watch=again)

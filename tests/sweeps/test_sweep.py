@@ -95,7 +95,7 @@ def test_what_has_a_checkpoint_of_its_own_goes_on_alone(in_tmp_path: Path) -> No
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "sweep", watch=stopped)  # the other two from their beginning, together
     assert stopped.rows == alone[:1]
-    Path("sweep/cells", alone[0]["cell"], "result.json").unlink()
+    Path("sweep/cells", alone[0]["cell"], "row.json").unlink()
     resumed = Watch()
     rows = ail.sweep(spec, "sweep", watch=resumed)
     assert rows[0] == alone[0]
@@ -195,7 +195,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
 
     # Another run in the place of one of them.
     cell = expand(read_spec(Path("tiny.toml"))).cells[1].name
-    Path("out/cells", cell, "result.json").unlink()
+    Path("out/cells", cell, "row.json").unlink()
     config = Path("out/cells", cell, "config.json")
     config.write_text(config.read_text().replace('"episode_length": 20', '"episode_length": 30'))
     arguments = ("sweep", "tiny.toml", "--output", "out", "--max-parallel", 1)
@@ -227,7 +227,7 @@ def test_what_is_finished_is_never_trained_again(in_tmp_path: Path) -> None:
     assert resumed.num_reports == 0
 
     for row in rows[1:]:
-        Path("sweep/cells", row["cell"], "result.json").unlink()
+        Path("sweep/cells", row["cell"], "row.json").unlink()
     alone = Watch()
     assert ail.sweep(spec, "sweep", max_parallel=2, watch=alone) == rows
     assert (alone.begun, alone.num_reports) == (resumed.begun, 0)

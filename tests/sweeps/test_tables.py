@@ -75,7 +75,7 @@ def test_episodes_of_another_length_than_gymnasiums_are_not_compared(in_tmp_path
 
 def again(row: dict[str, Any]) -> dict[str, Any]:
     """The row of the only cell of the sweep, evaluated once more."""
-    Path("sweep/cells", row["cell"], "result.json").unlink()
+    Path("sweep/cells", row["cell"], "row.json").unlink()
     (row,) = ail.sweep(quick_grid(), "sweep")
     return dict(row)
 

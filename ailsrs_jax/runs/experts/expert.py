@@ -17,9 +17,9 @@ from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_ja
 from ailsrs_jax.runs.experts.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.experts.ppo import PPO_PRESETS, PpoSettings, train_ppo
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.runs.policies import saved_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.parts.settings import override, parse
 from ailsrs_jax.trainers.presets import preset_settings

@@ -1,4 +1,4 @@
-"""Saving and restoring the whole training state, with Orbax."""
+"""Save and restore the whole training state, with Orbax."""
 
 import contextlib
 import errno
@@ -18,10 +18,10 @@ import orbax.checkpoint as ocp
 
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_small, write_atomically
-from ailsrs_jax.runs.devices import anywhere, as_the_first_says, is_first_process
+from ailsrs_jax.runs.storage.processes import anywhere, as_the_first_says, is_first_process
 
-KEEP = 2  # so that one is whole while another is written
-LISTED = 8  # that processes agree on
+KEEP = 2  # so that one is complete while another is written
+LISTED = 8  # checkpoints that the processes of a run compare
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
 OVERHEAD = 2**18  # bytes of a checkpoint beside its arrays
 
@@ -31,18 +31,18 @@ logger = logging.getLogger(__name__)
 class Restored(NamedTuple):
     """A checkpoint that was read."""
 
-    num_done: int  # iterations; 0 where there is no checkpoint
+    num_done: int  # iterations; 0 if there was no checkpoint
     state: Any
-    about: dict[str, Any]  # what was to be written beside the state
+    about: dict[str, Any]  # was saved with the state
 
 
 class Checkpoints:
-    """The checkpoints of one run; a context manager that finishes writing when it is left.
+    """The checkpoints of a run; a context manager that finishes writing when it is left.
 
-    Each is a directory ``N``, of the state after N iterations. Orbax writes it under another name,
-    and renames it; then the hashes of its files are added, which make it a whole one. So a process
-    that is killed leaves all of a checkpoint or none, and what a disk has damaged is not read:
-    Orbax itself would take some of it for the state.
+    The state after N iterations is in the directory ``N``. Orbax writes it under a temporary name
+    and renames it, and then we add the hashes of its files, which mark it as complete. A process
+    that is killed therefore leaves a complete checkpoint or none. The hashes also detect damage by
+    the disk, which Orbax would partly accept.
     """
 
     def __init__(
@@ -50,7 +50,10 @@ class Checkpoints:
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
-        ``about``, which JSON can hold, is written into each of them.
+        Args:
+            directory: created if necessary.
+            save_every: iterations between checkpoints.
+            about: values that JSON can hold, saved with every checkpoint.
 
         Raises:
             UserError: the directory cannot be written.
@@ -62,17 +65,17 @@ class Checkpoints:
         self._pending: Future[None] | None = None
         self._orbax_logger = logging.getLogger("absl")
         self._orbax_level = self._orbax_logger.level
-        self._orbax_logger.setLevel(logging.CRITICAL)  # pages about each error that it raises too
+        self._orbax_logger.setLevel(logging.CRITICAL)  # it logs pages for each error raised
         try:
             self._manager = ocp.CheckpointManager(
                 self._directory,
                 options=ocp.CheckpointManagerOptions(
                     max_to_keep=KEEP,
                     create=True,
-                    cleanup_tmp_directories=True,  # those of killed processes
+                    cleanup_tmp_directories=True,  # left by killed processes
                 ),
             )
-            self._newest = max(filter(self._is_whole, self._manager.all_steps()), default=None)
+            self._newest = max(self._complete(), default=None)
         except OSError as error:
             raise self._cannot_write(error) from error
 
@@ -88,26 +91,25 @@ class Checkpoints:
         try:
             self._finish_writing()
         except UserError as problem:
-            if error is None or isinstance(error, KeyboardInterrupt):  # which says that it is saved
+            # After KeyboardInterrupt the user is told that the run is saved.
+            if error is None or isinstance(error, KeyboardInterrupt):
                 raise
-            logger.warning("%s", problem)  # beside the error that is on its way already
+            logger.warning("%s", problem)
         finally:
             self._thread.shutdown()
-            with contextlib.suppress(Exception):  # what could not be written, once more
+            with contextlib.suppress(Exception):  # raises the error of writing again
                 self._manager.close()
             self._orbax_logger.setLevel(self._orbax_level)
 
     def is_due(self, num_done: int) -> bool:
-        """Whether it is time to save, or the first time."""
+        """Whether to save after ``num_done`` iterations: the first time, and every so often."""
         return self._newest is None or num_done % self._save_every == 0
 
     def save(self, num_done: int, state: Any) -> None:
-        """Save the state after ``num_done`` iterations.
-
-        It is copied at once, and written while the caller goes on.
+        """Copy the state after ``num_done`` iterations, and write it in the background.
 
         Raises:
-            UserError: this or the one before cannot be written.
+            UserError: this checkpoint or the previous one cannot be written.
         """
         if num_done == self._newest:
             return
@@ -122,42 +124,41 @@ class Checkpoints:
                     about=ocp.args.JsonSave(self._about),
                 ),
             )
-        except Exception as error:  # the disk's, as told by the layers between
+        except Exception as error:  # of the disk, wrapped by Orbax in various types
             raise self._cannot_write(error) from error
         self._newest = num_done
         self._pending = self._thread.submit(self._seal, num_done)
 
     def restore(self, like: Any) -> Restored:
-        """The newest checkpoint that is whole, its state shaped and placed ``like`` this one.
+        """Read the newest complete checkpoint, with shapes and devices as in the state ``like``.
 
-        Newer ones that are damaged are removed, with a warning. Without any, 0 and ``like`` itself.
+        Damaged newer ones are removed, with a warning. Without checkpoints, return 0 and ``like``.
 
         Raises:
-            UserError: there are checkpoints, and none of them can be read.
+            UserError: there are checkpoints, but none can be read.
         """
         problems: dict[int, Exception] = {}
         restored = Restored(0, like, {})
-        # Unless it is whole, the process was killed before it was.
-        whole = sorted(filter(self._is_whole, self._manager.all_steps()), reverse=True)
-        for num_done in as_the_first_says(whole[:LISTED], LISTED):
+        complete = sorted(self._complete(), reverse=True)
+        for num_done in as_the_first_says(complete[:LISTED], LISTED):
             problem = self._problem(num_done, like)
             if not anywhere(problem is not None):
                 try:
                     restored = self._read(num_done, like)
                     break
-                except Exception as error:  # of damaged files it may be any
+                except Exception as error:  # damaged files raise anything
                     problem = error
             problems[num_done] = problem or ValueError("another process cannot read it")
         if problems and restored.num_done == 0:
             newest = one_line(next(iter(problems.values())))
             raise UserError(
-                f"no checkpoint in {self._directory} can be read ({newest}): delete them to begin "
-                "anew"
+                f"no checkpoint in {self._directory} can be read ({newest}): delete them to start "
+                "over"
             )
         if problems and is_first_process():
             damaged = " and ".join(map(str, problems))
             logger.warning(
-                "checkpoint %s in %s is damaged: going on from %d",
+                "checkpoint %s in %s is damaged: resuming from %d",
                 damaged,
                 self._directory,
                 restored.num_done,
@@ -168,11 +169,16 @@ class Checkpoints:
         self._newest = restored.num_done or None
         return restored
 
-    def _is_whole(self, num_done: int) -> bool:
-        return (self._directory / str(num_done) / HASHES).exists()
+    def _complete(self) -> list[int]:
+        """Return the checkpoints that were written to the end."""
+        steps = self._manager.all_steps()
+        return [step for step in steps if (self._directory / str(step) / HASHES).exists()]
 
     def _problem(self, num_done: int, like: Any) -> Exception | None:
-        """Why it cannot be read, if so: asked before, because Orbax reads with all processes."""
+        """Return why a checkpoint cannot be read; None if it can.
+
+        This is checked first, because Orbax reads with all processes at once.
+        """
         directory = self._directory / str(num_done)
         try:
             if read_small(directory / HASHES).decode() != _hashes(directory):
@@ -181,7 +187,7 @@ class Checkpoints:
                 saved = reader.metadata(directory / "state").item_metadata.tree
             if _shapes(saved) != _shapes(_abstract(like)):
                 raise ValueError("its state has other arrays")
-        except Exception as error:  # of damaged files it may be any
+        except Exception as error:  # damaged files raise anything
             return error
         return None
 
@@ -195,7 +201,7 @@ class Checkpoints:
         return Restored(num_done, _unpack(restored.state, like), dict(restored.about))
 
     def _seal(self, num_done: int) -> None:
-        """Wait until the checkpoint is written, and declare it whole."""
+        """Wait until the checkpoint is written, and mark it as complete."""
         self._manager.wait_until_finished()
         if is_first_process():
             directory = self._directory / str(num_done)
@@ -210,11 +216,11 @@ class Checkpoints:
             pending.result()
         except UserError:
             raise
-        except Exception as error:  # the disk's, as told by the layers between
+        except Exception as error:  # of the disk, wrapped by Orbax in various types
             raise self._cannot_write(error) from error
 
     def _require_space(self, size: int) -> None:
-        """Raise UserError if a full disk is foreseeable: Orbax's threads would print tracebacks."""
+        """Raise UserError if the disk is too full: threads of Orbax would print tracebacks."""
         try:
             free = shutil.disk_usage(self._directory).free
         except OSError as error:
@@ -239,7 +245,7 @@ def _hashes(directory: Path) -> str:
 
 
 def _shapes(tree: Any) -> dict[str, Any]:
-    """The shape and type of each array, by its name: Orbax reads named tuples as dictionaries."""
+    """Return shape and type of each array by name, since Orbax reads named tuples as dicts."""
     leaves, _ = jax.tree.flatten_with_path(tree)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves)
     return {
@@ -249,7 +255,7 @@ def _shapes(tree: Any) -> dict[str, Any]:
 
 
 def _abstract(like: Any) -> Any:
-    """Shapes, types and places of what is written of ``like``."""
+    """Return shapes, types and devices of the arrays that are written."""
     return jax.tree.map(ocp.utils.to_shape_dtype_struct, _pack(like))
 
 
@@ -258,7 +264,7 @@ def _is_key(x: jax.Array) -> bool:
 
 
 def _pack(state: Any) -> Any:
-    """Random keys as the numbers they are made of."""
+    """Replace random keys by their numbers, which Orbax can write."""
     return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
 
 

@@ -1,4 +1,4 @@
-"""What a run was asked to do, as written to ``config.json``."""
+"""The configuration of a run, ``config.json``."""
 
 import dataclasses
 import hashlib
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically
 
@@ -18,12 +18,12 @@ VERSIONED_PACKAGES = (
     *("optax", "flax", "brax"),
 )
 
-MOST_DIFFERENCES = 8  # that are told in a line
+MOST_DIFFERENCES = 8  # listed in an error message
 
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
-    """Everything that a run's numbers depend on."""
+    """Everything that the numbers of a run depend on."""
 
     env_id: str
     physics: str  # the engine, never "auto"
@@ -31,24 +31,25 @@ class RunConfig:
     algorithm: str
     preset: str
     settings: Any  # the algorithm's dataclass
-    # Where there are none, the algorithm learns from the environment's reward.
+    # These four are None for an algorithm that learns from the environment's reward.
     num_trajectories: int | None
-    demonstrations: str | None  # where they are from, or which expert they are of
-    demonstrations_sha256: str | None  # of what is trained on
-    subsample: int | None  # only every k-th of their steps is
+    source: Source | None
+    demonstrations_sha256: str | None  # of the arrays trained on
+    subsample: int | None  # train on every k-th step
 
     def save(self, path: Path) -> None:
-        """Write JSON, whole or not at all."""
+        """Write ``config.json`` atomically."""
         text = json.dumps(self.as_json(), indent=2)
         write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
 
     def require_same(self, saved: Mapping[str, Any], where: Path) -> None:
-        """Raise UserError, naming each difference, unless ``saved``, found ``where``, is this.
+        """Raise UserError that lists the differences from ``saved``, which was read from ``where``.
 
-        Versions of packages count where they are told: with others the numbers would be others.
+        Versions of packages count, because other versions compute other numbers. The source of the
+        demonstrations does not count, because their content does.
         """
-        mine = _flatten(self.as_json())
-        del mine["demonstrations"]  # their content counts, not the name of their file
+        require_current(saved, where)
+        mine = _flatten(self.as_json() | {"source": {}})
         differences = [
             f"{name} is {reprlib.repr(value)}, was {reprlib.repr(_at(saved, name))}"
             for name, value in mine.items()
@@ -60,37 +61,46 @@ class RunConfig:
         if differences:
             hint = ""
             if all(difference.startswith("versions.") for difference in differences):
-                hint = f"; install those, or, to go on with these, change them in {where}"
+                hint = f"; install those versions, or edit {where} to go on with the present ones"
             raise UserError(f"cannot resume {where.parent}: {'; '.join(differences)}{hint}")
 
     def fingerprint(self) -> int:
-        """A number that differs, in all likelihood, if anything of it does."""
-        text = json.dumps({**self.as_json(), "demonstrations": None}, sort_keys=True)
+        """Return a number that is almost surely different for a different configuration."""
+        text = json.dumps(self.as_json() | {"source": None}, sort_keys=True)
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
 
     def as_json(self) -> dict[str, Any]:
-        """What ``config.json`` holds: this, and the versions of what computes the numbers."""
+        """Return the content of ``config.json``: these fields and the versions of packages."""
         fields = dataclasses.asdict(self) | {"versions": installed_versions()}
         as_read: dict[str, Any] = json.loads(json.dumps(fields))
         return as_read
 
 
 def installed_versions() -> dict[str, str]:
-    """Of what the numbers of a run depend on."""
+    """Return the versions of the packages that the numbers of a run depend on."""
     return {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """What ``config.json`` holds.
+    """Read ``config.json``.
 
     Raises:
-        UserError: it cannot be read, or is no such file.
+        UserError: it cannot be read, or is not a JSON object.
     """
     return read_json_object(path, "the configuration of a run")
 
 
+def require_current(saved: Mapping[str, Any], where: Path) -> None:
+    """Raise UserError if version 0.1 wrote ``saved``, which described its source in prose."""
+    if "demonstrations" in saved and "source" not in saved:
+        raise UserError(
+            f"{where} was written by an older version: read it with ailsrs_jax 0.1, or make the "
+            "run again"
+        )
+
+
 def require_seed(seed: int) -> None:
-    """Raise UserError unless ``seed`` is one that every random number generator here takes."""
+    """Raise UserError unless every random number generator used here takes ``seed``."""
     if not 0 <= seed < 2**31:
         raise UserError(f"seed is {seed}: it must be from 0 to {2**31 - 1}")
 
@@ -102,15 +112,7 @@ def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _at(tree: Any, name: str) -> Any:
-    """What ``_flatten`` would call ``name`` in a tree from a file, which can be of any depth."""
+    """Return the value that ``_flatten`` would call ``name``, without flattening a deep tree."""
     for key in name.split("."):
         tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree
-
-
-def content_hash(demonstrations: Demonstrations) -> str:
-    """SHA-256 of what the demonstrations hold, whatever file they came from."""
-    digest = hashlib.sha256()
-    for name, array in demonstrations.fields().items():
-        digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
-    return digest.hexdigest()

@@ -1,117 +1,113 @@
-"""The directory of a run: who may write there, and what is written while the run goes."""
+"""The directory of a run: the lock on it, and the files that are written during the run."""
 
 import contextlib
 import errno
 import fcntl
+import json
 import logging
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+import numpy as np
+
 from ailsrs_jax.errors import InUseError, UserError
-from ailsrs_jax.files import PARTIAL
-from ailsrs_jax.runs.devices import is_first_process
-from ailsrs_jax.runs.policies import kept_policies
-from ailsrs_jax.runs.storage.checkpoint import Checkpoints
-from ailsrs_jax.runs.storage.config import RunConfig, installed_versions, read_config
+from ailsrs_jax.files import PARTIAL, write_atomically
+from ailsrs_jax.runs.storage.config import RunConfig, read_config
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.runs.storage.policies import save_policies
+from ailsrs_jax.runs.storage.processes import is_first_process
 
 LOCK = ".lock"
+RESULT_FILE = "result.json"
 
 logger = logging.getLogger(__name__)
 
 
 class RunDirectory:
-    """Checkpoints, the journal and the kept policies of a run; a context manager.
+    """Writes the journal, the policies and ``result.json`` of a run, but no checkpoints."""
 
-    All processes of a run have one, and the first writes all but the checkpoints.
-    """
+    def __init__(
+        self,
+        path: Path,
+        config: RunConfig,
+        *,
+        command: str | None,
+        expert_returns: np.ndarray | None,
+    ) -> None:
+        """Write to ``path``, which is :func:`claimed`.
 
-    def __init__(self, path: Path, config: RunConfig, checkpoint_every: int) -> None:
-        """Write to ``path``, which is :func:`claimed`."""
+        Args:
+            path: the run directory.
+            config: of the run.
+            command: the command line that makes the run again, if there is one.
+            expert_returns: of the demonstrations, if the run has any.
+        """
         self._path = path
         self._config = config
+        self._about = {"command": command, "expert_return": _mean_and_std(expert_returns)}
         self._journal: Journal | None = None
-        self._checkpoints = Checkpoints(path / "checkpoints", checkpoint_every, config.as_json())
 
-    def __enter__(self) -> "RunDirectory":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._checkpoints.__exit__(kind, error, traceback)
-
-    def restore(self, progress: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-        """Iterations done, and ``progress`` as it was after them; 0 and itself without any.
+    def begin(self, num_done: int, progress: Mapping[str, Any], track: str | None) -> None:
+        """Open the journal after ``num_done`` iterations, and drop what was written after them.
 
         Raises:
-            UserError: what is there cannot be read or is of another run, or ``metrics.csv`` lacks
-                rows.
+            UserError: ``metrics.csv`` or ``seconds.csv`` lacks rows, or cannot be written.
         """
-        num_done, progress, about = self._checkpoints.restore(progress)
-        if num_done > 0:  # it may be another run's, put here; versions were asked for before
-            about |= {"versions": installed_versions()}
-            self._config.require_same(about, self._path / "checkpoints")
-        if is_first_process():
-            self._journal = Journal(self._path, self._config, num_done, progress["steps"])
-            if num_done > 0:
-                save_policies(progress["state"], self._config, self._path)
-        return num_done, progress
+        self._journal = Journal(self._path, self._config, num_done, progress["steps"], track)
 
-    def record(self, report: IterationReport, progress: dict[str, Any], *, save: bool) -> None:
-        """Write one iteration's metrics and, if it is time or by ``save``, the progress.
+    def append(self, report: IterationReport, *, to_disk: bool) -> None:
+        """Append an iteration to the journal.
 
         Raises:
             UserError: it cannot be written.
         """
-        num_done = report.iteration + 1
-        save = save or self._checkpoints.is_due(num_done)
-        if self._journal is not None:
-            self._journal.append(report, to_disk=save)
-        if save:
-            self._save(num_done, progress)
+        assert self._journal is not None
+        self._journal.append(report, to_disk=to_disk)
 
-    def abandon(self, report: IterationReport, before: dict[str, Any]) -> None:
-        """Write the metrics of an iteration that leads nowhere, and the progress before it.
+    def save(self, progress: Mapping[str, Any], *, finished: bool) -> None:
+        """Write the kept policies and ``result.json``.
 
         Raises:
-            UserError: it cannot be written.
+            UserError: they cannot be written.
         """
+        assert self._journal is not None
+        save_policies(progress["state"], self._config, self._path)
+        kept = progress["state"].kept
+        seeds = {}
+        for seed, iteration, score in zip(
+            self._config.seeds, np.asarray(kept.iteration), np.asarray(kept.score), strict=True
+        ):
+            if math.isfinite(score):  # else no policy has had a score yet
+                seeds[str(seed)] = {"kept_iteration": int(iteration), "score": float(score)}
+        steps = {str(seed): int(n) for seed, n in zip(self._config.seeds, progress["steps"])}
+        fields = {"finished": finished, "env_steps": steps, "seconds": self._journal.seconds}
+        text = json.dumps(self._about | fields | {"seeds": seeds}, indent=2)
+        write_atomically(self._path / RESULT_FILE, lambda file: file.write(f"{text}\n".encode()))
+
+    def close(self) -> None:
+        """Close the journal."""
         if self._journal is not None:
-            self._journal.append(report, to_disk=True)
-        self._save(report.iteration, before)
-
-    def _save(self, num_done: int, progress: dict[str, Any]) -> None:
-        self._checkpoints.save(num_done, progress)
-        if is_first_process():
-            save_policies(progress["state"], self._config, self._path)
+            self._journal.close()
 
 
-def save_policies(state: Any, config: RunConfig, path: Path) -> None:
-    """Write what the run keeps so far to its directory.
-
-    Raises:
-        UserError: it cannot be written.
-    """
-    for seed, policy in kept_policies(state, config).items():
-        policy.save(path / f"seed_{seed}" / "policy.npz")
+def _mean_and_std(returns: np.ndarray | None) -> dict[str, float] | None:
+    if returns is None:
+        return None
+    return {"mean": float(np.mean(returns)), "std": float(np.std(returns))}
 
 
 @contextlib.contextmanager
 def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
-    """Let nobody else write to the run directory ``path`` meanwhile; write its ``config.json``.
+    """Lock the run directory ``path``, and write its ``config.json`` if the run is new.
 
-    A process that is killed loses its claim with its life.
+    The operating system releases the lock when the process ends, however it ends.
 
     Raises:
-        UserError: somebody else writes there, it holds another run, or it cannot be written.
+        UserError: another process writes there, it holds another run, or it cannot be written.
     """
     config_path = path / "config.json"
     if resume:
@@ -123,21 +119,21 @@ def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
     if not is_first_process():
         yield
         return
-    # Before the lock, which would not be welcome among others' files; where there is one already,
-    # somebody may be writing, and to know that is better than that something is there.
+    # Checked before the lock file is made, which does not belong among other people's files. If
+    # there is a lock file, "another process is writing" is the better message, so it comes first.
     if not resume and not os.path.lexists(path / LOCK):
         _require_empty(path)
     with _locked(path):
         if not resume:
             _require_empty(path)
             config.save(config_path)
-        for partial in path.rglob(f".*{PARTIAL}"):  # of processes that were killed
+        for partial in path.rglob(f".*{PARTIAL}"):  # left by killed processes
             partial.unlink()
         yield
 
 
 def _require_empty(path: Path) -> None:
-    """Raise UserError if anything is there but hidden files, as a killed process may leave them."""
+    """Raise UserError unless only hidden files are there, which a killed process may leave."""
     try:
         occupied = path.exists() and (
             not path.is_dir() or not all(file.name.startswith(".") for file in path.iterdir())
@@ -153,7 +149,8 @@ def _locked(path: Path) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         try:
             path.mkdir(parents=True, exist_ok=True)
-            # Nothing is truncated that a link may lead to, and no reader of a pipe is waited for.
+            # A link is not followed, because its target may be precious, and opening a pipe does
+            # not wait for a reader.
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
             lock = os.open(path / LOCK, flags, 0o644)
             stack.callback(os.close, lock)

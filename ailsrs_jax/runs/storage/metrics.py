@@ -1,4 +1,4 @@
-"""What a run reports while it goes: ``metrics.csv``, one row per iteration and seed."""
+"""The report of an iteration, and the tables that a run appends it to."""
 
 import csv
 import dataclasses
@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,29 +16,29 @@ from ailsrs_jax.files import require_file, write_atomically
 
 @dataclasses.dataclass(frozen=True)
 class IterationReport:
-    """One iteration of all seeds, for whoever watches."""
+    """One iteration of all seeds, as ``watch`` receives it."""
 
     iteration: int  # counted from 0
     num_iterations: int
     metrics: Mapping[str, np.ndarray]  # (seeds,) each; env_steps since the start of the run
     seconds: float  # that this iteration took
     env_steps_per_second: float  # of all seeds together, in this iteration
-    compile_seconds: float | None  # spent before the first iteration, if it is known
-    finished: bool = False  # nothing is left to do, whatever the number of iterations
+    compile_seconds: float | None  # spent before the first iteration, if known
+    finished: bool = False  # the run ends here, whatever num_iterations says
 
     @property
     def is_last(self) -> bool:
-        """Whether no other follows."""
+        """Whether this is the last iteration of the run."""
         return self.finished or self.iteration + 1 == self.num_iterations
 
     def require_most_finite(self) -> None:
-        """Raise UserError if most of the episodes diverged, of all seeds together."""
+        """Raise UserError if most episodes of this iteration diverged, over all seeds."""
         episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
         require_most_finite(self.iteration, episodes, diverged)
 
 
 def require_most_finite(iteration: int, episodes: int, diverged: int) -> None:
-    """Raise UserError if most of the episodes diverged: there is hardly anything to learn."""
+    """Raise UserError if most episodes diverged, because too little is left to learn from."""
     if 2 * diverged > episodes:
         raise UserError(
             f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
@@ -47,45 +48,50 @@ def require_most_finite(iteration: int, episodes: int, diverged: int) -> None:
         )
 
 
-class MetricsFile:
-    """Appends to ``metrics.csv``."""
+class CsvFile:
+    """A table that a run appends to, such as ``metrics.csv``."""
 
-    def __init__(self, path: Path, seeds: Sequence[int], start: int) -> None:
-        """Begin at iteration ``start``, dropping rows that a lost run wrote beyond it.
+    def __init__(self, path: Path, keys: Sequence[Sequence[int]]) -> None:
+        """Keep the rows that begin with ``keys``, and drop those that a killed process added.
+
+        Args:
+            path: the file.
+            keys: the first columns of each row that has to be there, in order.
 
         Raises:
-            UserError: the rows before it are not all there, or it cannot be written.
+            UserError: a row is missing or damaged, or the file cannot be written.
         """
         self._path = path
-        self._seeds = seeds
-        kept: list[list[str]] = []
-        if start > 0:
-            # Rows beyond may have been cut off in the middle, those before may not.
-            kept = read_rows(path)[: 1 + start * len(seeds)]
-            expected = [[str(i), str(seed)] for i in range(start) for seed in seeds]
-            if [row[:2] for row in kept[1:]] != expected or len({len(row) for row in kept}) > 1:
+        kept: list[list[str]] = []  # header and rows
+        if keys:
+            # A loss of power may have cut off the rows after these, but not these.
+            kept = read_rows(path)[: 1 + len(keys)]
+            expected = [[str(key) for key in row] for row in keys]
+            found = [row[: len(keys[0])] for row in kept[1:]]
+            if found != expected or len({len(row) for row in kept}) > 1:
                 raise UserError(
-                    f"{path} lacks rows of the {start} iterations done: put it back as it was, or "
-                    f"delete {path.parent / 'checkpoints'} to begin anew"
+                    f"{path} lacks rows of the {keys[-1][0] + 1} iterations done: restore the "
+                    f"file, or delete {path.parent / 'checkpoints'} to start over"
                 )
+        self._has_header = bool(kept)
         write_atomically(path, lambda file: file.write(_as_csv(kept)))
 
-    def append(self, report: IterationReport, *, to_disk: bool = False) -> None:
-        """Write the rows of one iteration; with ``to_disk``, so that no loss of power loses them.
+    def append(
+        self, columns: Sequence[str], rows: Sequence[Sequence[Any]], *, to_disk: bool = False
+    ) -> None:
+        """Append ``rows``; with ``to_disk``, wait until they would survive a loss of power.
 
         Raises:
             UserError: they cannot be written.
         """
-        rows: list[list[str]] = []
-        if report.iteration == 0:
-            rows.append(["iteration", "seed", *report.metrics])
-        for index, seed in enumerate(self._seeds):
-            # NumPy prints the shortest digits that give the same float back.
-            values = [str(values[index]) for values in report.metrics.values()]
-            rows.append([str(report.iteration), str(seed), *values])
+        # Python and NumPy print the shortest digits that read back as the same number.
+        lines = [[str(value) for value in row] for row in rows]
+        if not self._has_header:
+            lines.insert(0, list(columns))
+            self._has_header = True
         try:
             with self._path.open("ab") as file:
-                file.write(_as_csv(rows))
+                file.write(_as_csv(lines))
                 if to_disk:
                     file.flush()
                     os.fsync(file.fileno())
@@ -94,14 +100,14 @@ class MetricsFile:
 
 
 def read_rows(path: Path) -> list[list[str]]:
-    """The rows of ``metrics.csv``, header first.
+    """Read the rows of a CSV file, header first.
 
     Raises:
         UserError: it cannot be read, or is empty.
     """
     require_file(path)
     try:
-        with path.open(newline="") as file:  # a text may hold what splitlines takes for an end
+        with path.open(newline="") as file:  # str.splitlines would split inside of quotes
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"cannot read {path}: {one_line(error)}") from error
@@ -111,20 +117,20 @@ def read_rows(path: Path) -> list[list[str]]:
 
 
 def read_metrics(path: Path) -> dict[str, np.ndarray]:
-    """The columns of ``metrics.csv`` by name, in float64.
+    """Read the columns of a table of numbers, such as ``metrics.csv``, in float64.
 
     Raises:
-        UserError: it cannot be read, or is no table of numbers.
+        UserError: it cannot be read, or holds something else than numbers.
     """
     header, *rows = read_rows(path)
     try:
         table = np.array(rows, float).reshape(len(rows), len(header))
-    except ValueError as error:  # ragged, or words
+    except ValueError as error:  # ragged rows, or text
         raise UserError(f"{path} is not a table of numbers under a header") from error
     return dict(zip(header, table.T, strict=True))
 
 
-def _as_csv(rows: list[list[str]]) -> bytes:
+def _as_csv(rows: Sequence[Sequence[str]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()

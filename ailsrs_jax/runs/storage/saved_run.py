@@ -1,8 +1,7 @@
-"""A run as it is on disk, finished or not: what it was asked to do, and what it has measured."""
+"""A run as it is on disk, finished or not."""
 
-import contextlib
 import dataclasses
-import re
+import math
 import reprlib
 import shlex
 from collections.abc import Mapping
@@ -11,25 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.data.sources import MINARI
-from ailsrs_jax.envs.registry import (
-    TASKS,
-    require_harmless,
-    resolve_env_id,
-    short_name,
-    takes_physics,
-)
-from ailsrs_jax.errors import UserError
-from ailsrs_jax.files import require_name
-from ailsrs_jax.runs.run import make_plan
-from ailsrs_jax.runs.storage.config import read_config, require_seed
+from ailsrs_jax.data.sources import Source, parse_source
+from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.files import read_json_object, require_name
+from ailsrs_jax.own_code import is_own
+from ailsrs_jax.runs.storage.config import read_config, require_current, require_seed
+from ailsrs_jax.runs.storage.directory import RESULT_FILE
 from ailsrs_jax.runs.storage.metrics import read_metrics
-from ailsrs_jax.runs.training_data import HANDED_IN, NUM_TRAJECTORIES, SHIPPED_EXPERT
-from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm
-from ailsrs_jax.trainers.parts.settings import as_text
+from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.presets import changed_settings
 
-# What config.json holds, and of what type; see RunConfig.
+# The fields of config.json, and their types; see RunConfig.
 FIELDS: dict[str, tuple[type, ...]] = {
     "env_id": (str,),
     "physics": (str,),
@@ -38,7 +29,7 @@ FIELDS: dict[str, tuple[type, ...]] = {
     "preset": (str,),
     "settings": (dict,),
     "num_trajectories": (int, type(None)),
-    "demonstrations": (str, type(None)),
+    "source": (dict, type(None)),
     "demonstrations_sha256": (str, type(None)),
     "subsample": (int, type(None)),
     "versions": (dict,),
@@ -47,123 +38,89 @@ FIELDS: dict[str, tuple[type, ...]] = {
 
 @dataclasses.dataclass(frozen=True)
 class SavedRun:
-    """What ``config.json`` and ``metrics.csv`` say, checked; the rest of the directory is not."""
+    """The content of ``config.json``, ``metrics.csv`` and ``result.json``, checked.
+
+    The files may be a stranger's, so nothing that they name is imported, simulated or downloaded.
+    """
 
     directory: Path
     config: Mapping[str, Any]  # the fields of RunConfig, and versions
-    metrics: Mapping[str, np.ndarray]  # by column, a row for each iteration and seed
+    metrics: Mapping[str, np.ndarray]  # by column, with a row for each iteration and seed
+    source: Source | None  # of the demonstrations, if there are any
+    command: str | None  # makes the run again; None if objects were handed in from Python
+    expert_return: float | None  # mean over the demonstrations
+    kept_iterations: Mapping[int, int]  # by seed, without those that have kept no policy yet
 
     @property
-    def algorithm(self) -> Algorithm:
-        """What has trained it."""
-        return find_algorithm(self.config["algorithm"])
+    def title(self) -> str:
+        """The algorithm's name for people."""
+        name: str = self.config["algorithm"]
+        return name if is_own(name) else find_algorithm(name).title
 
     @property
-    def kept_iterations(self) -> dict[int, int]:
-        """When the kept policy of each seed was found, where one was: as the trainers choose."""
-        scores = self.metrics[self.algorithm.kept_by]
-        if self.algorithm.kept_by != "evaluation_return":
-            scores = -scores
-        kept = {}
-        for seed in self.config["seeds"]:
-            mine = self.metrics["seed"] == seed
-            if np.isfinite(scores[mine]).any():
-                best = np.nanargmax(np.where(np.isfinite(scores[mine]), scores[mine], np.nan))
-                kept[seed] = int(self.metrics["iteration"][mine][best])
-        return kept
+    def imitates(self) -> bool:
+        """Whether the run imitates demonstrations."""
+        return self.source is not None
 
-    def changed_settings(self) -> dict[str, str]:
-        """What differs from the preset; all of them, if there is no such preset any more."""
+    def without_folder(self) -> "SavedRun":
+        """Return the run without the folder of its demonstrations, which is private."""
+        source, command = self.source, self.command
+        if source is None or source.kind not in ("file", "imitation") or source.name is None:
+            return self
+        name = Path(source.name).name
+        if command is not None:
+            words = shlex.split(command)
+            command = shlex.join(name if word == source.name else word for word in words)
+        source = dataclasses.replace(source, name=name)
+        config = {**self.config, "source": dataclasses.asdict(source)}
+        return dataclasses.replace(self, config=config, source=source, command=command)
+
+    def changed_settings(self) -> dict[str, Any]:
+        """Return the settings that differ from the preset; all, if the preset is unknown."""
         config = self.config
-        try:
-            return changed_settings(
-                config["env_id"], config["preset"], config["algorithm"], config["settings"]
-            )
-        except UserError:
-            return {name: as_text(value) for name, value in sorted(config["settings"].items())}
-
-    def command(self) -> str | None:
-        """The ``ailsrs train`` that makes it again, where one does: Python can hand in objects."""
-        config, source = self.config, self._source
-        try:
-            env_id = resolve_env_id(config["env_id"])
-        except UserError:
-            return None
-        if source == HANDED_IN:
-            return None
-        words = ["ailsrs", "train", short_name(env_id) if env_id in TASKS else env_id]
-        if config["algorithm"] != "ailsrs":
-            words += ["--algorithm", config["algorithm"]]
-        number = config["num_trajectories"]
-        if source not in (None, SHIPPED_EXPERT):
-            words += ["--demonstrations", source]
-        if number is not None and (source, number) != (SHIPPED_EXPERT, NUM_TRAJECTORIES):
-            words += ["--num-trajectories", str(number)]
-        if config["subsample"] not in (None, 1):
-            words += ["--subsample", str(config["subsample"])]
-        words += ["--seeds", *map(str, config["seeds"])]
-        if config["preset"] != "tuned":
-            words += ["--preset", config["preset"]]
-        if (physics := self._asked_physics()) != "auto":
-            words += ["--physics", physics]
-        changed = self.changed_settings()
-        if changed:
-            words += ["--set", *(f"{name}={value}" for name, value in changed.items())]
-        return shlex.join(words)
-
-    def expert_return(self) -> float | None:
-        """Mean return of the demonstrations, if they are still there and the same.
-
-        Minari would download what is not, so there it is not looked.
-
-        Raises:
-            UserError: its own task is one that is not to be looked up.
-        """
-        config, source = self.config, self._source
-        if source is None or source == HANDED_IN or source.startswith(MINARI):
-            return None
-        require_harmless(config["env_id"], str(self.directory))
-        with contextlib.suppress(UserError):
-            plan = make_plan(
-                config["env_id"],
-                None if source == SHIPPED_EXPERT else source,
-                config["num_trajectories"],
-                config["seeds"],
-                "paper",
-                self._asked_physics(),
-                {},
-                subsample=config["subsample"],
-                algorithm="bc",
-            )
-            same = plan.config.demonstrations_sha256 == config["demonstrations_sha256"]
-            if same and plan.demonstrations is not None:
-                return float(np.mean(plan.demonstrations.returns))
-        return None
-
-    def _asked_physics(self) -> str:
-        """The engine, where it is for ``--physics`` to say: some tasks have one of their own."""
-        env_id: str = self.config["env_id"]
-        with contextlib.suppress(UserError):
-            require_harmless(env_id, str(self.directory))
-            if takes_physics(env_id):
-                return str(self.config["physics"])
-        return "auto"
-
-    @property
-    def _source(self) -> str | None:
-        """Where the demonstrations are from, without the note on what was left out of them."""
-        source: str | None = self.config["demonstrations"]
-        return source and re.sub(r" \(\d+ cut off, left out\)$", "", source)
+        if not is_own(config["algorithm"]):
+            try:
+                return changed_settings(
+                    config["env_id"], config["preset"], config["algorithm"], config["settings"]
+                )
+            except UserError:  # there is no such preset any more
+                pass
+        return dict(sorted(config["settings"].items()))
 
 
 def read_run(directory: Path) -> SavedRun:
-    """Read ``config.json`` and ``metrics.csv``.
+    """Read a run directory.
 
     Raises:
-        UserError: one is missing, damaged, or not of a run that we know.
+        UserError: a file is missing, damaged, or written by an older version.
     """
     path = directory / "config.json"
     config = read_config(path)
+    require_current(config, path)
+    _require_config(config, path)
+    source = parse_source(config["source"], str(path))
+    metrics = _read_metrics(directory / "metrics.csv", config)
+    path = directory / RESULT_FILE
+    result = read_json_object(path, "the result of a run")
+    try:
+        command, expert = result["command"], result["expert_return"]
+        kept = {int(seed): each["kept_iteration"] for seed, each in result["seeds"].items()}
+        mean = None if expert is None else expert["mean"]
+        if not set(kept) <= set(config["seeds"]) or not all(map(_is_count, kept.values())):
+            raise ValueError("seeds")
+        if not (mean is None or (isinstance(mean, int | float) and math.isfinite(mean))):
+            raise ValueError("expert_return")
+        # A page shows it for people to copy, so it must not hide a second command.
+        if command is not None and (
+            not command.startswith("ailsrs train ") or shlex.join(shlex.split(command)) != command
+        ):
+            raise ValueError("command")
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
+        raise UserError(f"{path} is not the result of a run: {one_line(error)}") from error
+    return SavedRun(directory, config, metrics, source, command, mean, kept)
+
+
+def _require_config(config: Mapping[str, Any], path: Path) -> None:
     for name, kinds in FIELDS.items():
         if name not in config or type(config[name]) not in kinds:
             value = reprlib.repr(config[name]) if name in config else "missing"
@@ -177,17 +134,26 @@ def read_run(directory: Path) -> SavedRun:
     for name, value in (config["settings"] | config["versions"]).items():
         if not isinstance(value, bool | int | float | str):
             raise UserError(f"{path}: {reprlib.repr(name)} is {reprlib.repr(value)}, not a value")
-    if config["demonstrations"] is not None:
-        for name in ("num_trajectories", "subsample"):
-            if config[name] is None:
-                raise UserError(f"{path} is not the configuration of a run: {name} is missing")
-    algorithm = find_algorithm(config["algorithm"])
-    path = directory / "metrics.csv"
+    for name in ("num_trajectories", "subsample"):
+        value = config[name]
+        if (value is None) != (config["source"] is None) or not (value is None or value >= 1):
+            shown = "missing" if value is None else reprlib.repr(value)
+            raise UserError(f"{path} is not the configuration of a run: {name} is {shown}")
+
+
+def _read_metrics(path: Path, config: Mapping[str, Any]) -> dict[str, np.ndarray]:
     metrics = read_metrics(path)
-    columns = ("iteration", "seed", "env_steps", "evaluation_return", algorithm.kept_by)
+    columns = ["iteration", "seed", "env_steps", "evaluation_return"]
+    if not is_own(config["algorithm"]):
+        columns.append(find_algorithm(config["algorithm"]).kept_by)
     if missing := [name for name in columns if name not in metrics]:
         raise UserError(f"{path} has no column {', '.join(missing)}: not the metrics of a run")
     counts = np.stack([metrics[name] for name in ("iteration", "seed")])
+    seeds = config["seeds"]
     if not (np.isfinite(counts).all() and counts.size and set(counts[1]) <= set(seeds)):
         raise UserError(f"{path} is not of the run with the seeds {reprlib.repr(seeds)}")
-    return SavedRun(directory, config, metrics)
+    return metrics
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 2**31

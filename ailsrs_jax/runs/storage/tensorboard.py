@@ -53,6 +53,9 @@ class EventFiles:
         except Exception as error:  # of whatever kind: the numbers are in metrics.csv
             self._give_up(error)
 
+    def close(self) -> None:
+        """Every event is in its file already."""
+
     def _give_up(self, error: Exception) -> None:
         self._files = []
         reason = getattr(error, "strerror", None) or one_line(error)

@@ -7,12 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import ailsrs_jax
 from ailsrs_jax.errors import one_line
 from ailsrs_jax.runs.storage import tracker_process
+from ailsrs_jax.runs.storage.metrics import IterationReport
 
 FINISH_SECONDS = 60  # that the last metrics may take to arrive
 
@@ -74,14 +75,18 @@ class TrackerProcess:
         logger.warning("no longer tracked by %s: %s", self._tracker, " ".join(reason.split()))
 
 
-@contextlib.contextmanager
-def tracked(tracker: str | None, directories: Sequence[Path]) -> Iterator[TrackerProcess | None]:
-    """Tell a tracker, if one is named, of the runs in ``directories`` meanwhile."""
-    if tracker is None:
-        yield None
-        return
-    process = TrackerProcess(tracker, directories)
-    try:
-        yield process
-    finally:
-        process.finish()
+class Tracker(TrackerProcess):
+    """One run directory, as the journal sees it."""
+
+    def __init__(self, name: str, directory: Path) -> None:
+        """Tell the tracker ``name`` of the run in ``directory``."""
+        super().__init__(name, [directory])
+
+    def append(self, report: IterationReport) -> None:
+        """Warn if the process has ended; it reads the rows itself."""
+        del report
+        self.check()
+
+    def close(self) -> None:
+        """Let it send the last metrics, for a limited time."""
+        self.finish()

@@ -9,24 +9,24 @@ from typing import Any
 
 import pytest
 
-from ailsrs_jax.runs import run
+from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from tests.runs import toy_run
 from tests.runs.storage.test_tracking import KilledError, kill_at
 
 
 @pytest.fixture(scope="module")
-def plan() -> run.Plan:
+def plan() -> Plan:
     return toy_run.plan(12, "ars")
 
 
-def test_trackio_itself(plan: run.Plan, tmp_path: Path, monkeypatch, caplog) -> None:
+def test_trackio_itself(plan: Plan, tmp_path: Path, monkeypatch, caplog) -> None:
     pytest.importorskip("trackio")
     output = tmp_path / "run"
     monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))
     with pytest.raises(KilledError):
-        run.execute(plan, output, track="trackio", watch=kill_at(6))
-    run.execute(plan, output, track="trackio", resume=True)
+        toy_run.run(plan, output, track="trackio", watch=kill_at(6))
+    toy_run.run(plan, output, track="trackio", resume=True)
     program = """
 import trackio, json
 from trackio.sqlite_storage import SQLiteStorage
@@ -49,13 +49,13 @@ print(json.dumps({
     assert not caplog.records
 
 
-def test_weights_and_biases_itself(plan: run.Plan, tmp_path: Path, monkeypatch, caplog) -> None:
+def test_weights_and_biases_itself(plan: Plan, tmp_path: Path, monkeypatch, caplog) -> None:
     pytest.importorskip("wandb")
     output = tmp_path / "run"
     monkeypatch.setenv("WANDB_MODE", "offline")
     with pytest.raises(KilledError):
-        run.execute(plan, output, track="wandb", watch=kill_at(6))
-    run.execute(plan, output, track="wandb", resume=True)
+        toy_run.run(plan, output, track="wandb", watch=kill_at(6))
+    toy_run.run(plan, output, track="wandb", resume=True)
     columns = read_metrics(output / "metrics.csv")
     files = sorted((output / "wandb").glob("offline-run-*/*.wandb"))
     by_name: dict[str, list[Path]] = {}

@@ -17,7 +17,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs import run
+from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.storage import tensorboard, tracked, trackers
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, read_rows
@@ -100,7 +100,7 @@ def init(*, name, config, **_):
 
 
 @pytest.fixture(scope="module")
-def plan() -> Iterator[run.Plan]:
+def plan() -> Iterator[Plan]:
     plan = toy_run.plan(12, "ars")
     name = "jax_persistent_cache_min_compile_time_secs"
     before = jax.config.values[name]
@@ -122,23 +122,23 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(plan: run.Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("undisturbed") / "run"
-    run.execute(plan, output)
+    toy_run.run(plan, output)
     return output
 
 
 @pytest.fixture(scope="module")
-def resumed(plan: run.Plan, library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def resumed(plan: Plan, library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Killed two iterations beyond a checkpoint, with a tracker that fails until then."""
     output = tmp_path_factory.mktemp("resumed") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FAULT", "log raises")
         with pytest.raises(KilledError):
-            run.execute(plan, output, checkpoint_every=3, watch=kill_at(7), track="trackio")
+            toy_run.run(plan, output, checkpoint_every=3, watch=kill_at(7), track="trackio")
     newest = max((output / "seed_0").glob("events*"))
     newest.write_bytes(newest.read_bytes()[:-7])  # what a loss of power may leave
-    run.execute(plan, output, checkpoint_every=3, resume=True, track="trackio")
+    toy_run.run(plan, output, checkpoint_every=3, resume=True, track="trackio")
     return output
 
 
@@ -168,7 +168,7 @@ def test_tensorboard_knows_the_settings(resumed: Path) -> None:
 
 @pytest.mark.parametrize("num_written", [1, 3])  # the second seed's first events; later ones
 def test_events_that_cannot_be_written_are_done_without(
-    num_written: int, plan: run.Plan, tmp_path: Path, monkeypatch, caplog
+    num_written: int, plan: Plan, tmp_path: Path, monkeypatch, caplog
 ) -> None:
     calls = itertools.count()
 
@@ -212,8 +212,7 @@ def test_a_tracker_goes_on_where_it_was(library: Path, tmp_path: Path, resumed: 
     before = library.stat().st_size
     for num_lines in (15, 11, 25):  # the header and two of each iteration
         (output / "metrics.csv").write_bytes(b"".join(lines[:num_lines]))
-        with tracked.tracked("trackio", [output]):
-            pass
+        tracked.Tracker("trackio", output).close()
     sent = [json.loads(line) for line in library.read_bytes()[before:].splitlines()]
     for name in {entry["name"] for entry in sent}:
         assert [entry["step"] for entry in sent if entry["name"] == name] == list(range(12))
@@ -237,9 +236,9 @@ def test_whatever_a_tracker_does_is_one_warning(
     monkeypatch.setenv("LOG", str(tmp_path / "log"))
     monkeypatch.setenv("FAULT", fault)
     monkeypatch.setattr(tracked, "FINISH_SECONDS", 1)
-    with tracked.tracked("trackio", [resumed]) as process:
-        assert process is not None
-        process.check()
+    process = tracked.Tracker("trackio", resumed)
+    process.check()
+    process.close()
     process.check()
     assert [(record.levelno, record.getMessage()) for record in caplog.records] == [
         (logging.WARNING, f"no longer tracked by trackio: {reason}")
@@ -247,7 +246,7 @@ def test_whatever_a_tracker_does_is_one_warning(
 
 
 def test_a_tracker_that_cannot_be_is_refused_before_anything_is_written(
-    plan: run.Plan, in_tmp_path: Path, monkeypatch
+    plan: Plan, in_tmp_path: Path, monkeypatch
 ) -> None:
     Path("elsewhere").mkdir()  # as Weights & Biases leaves one of its name
     monkeypatch.syspath_prepend("")
@@ -259,9 +258,9 @@ def test_a_tracker_that_cannot_be_is_refused_before_anything_is_written(
         "elsewhere": "tracking with elsewhere needs pip install",
     }.items():
         with pytest.raises(UserError, match=message):
-            run.execute(plan, Path("run"), track=track)
+            toy_run.run(plan, Path("run"), track=track)
         with pytest.raises(UserError, match=message):
             sweep({"grid": [{"env": "hopper", "algorithm": "ars"}]}, "run", track=track)
     with pytest.raises(UserError, match="track needs output"):
-        run.execute(plan, track="wandb")
+        toy_run.run(plan, track="wandb")
     assert [path.name for path in Path().iterdir()] == ["elsewhere"]

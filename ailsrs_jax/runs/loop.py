@@ -1,0 +1,287 @@
+"""The training loop: of one run with its seeds, or of several runs stacked into one program.
+
+Every seed of every run is a lane, that is an index of the leading axis of all arrays. A single run
+has a lane for each of its seeds. Stacked runs have one seed each, and share their checkpoints while
+they are trained.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.iterations import finished, iterate
+from ailsrs_jax.runs.plan import Plan
+from ailsrs_jax.runs.stacking import stack_trainers
+from ailsrs_jax.runs.storage.checkpoint import Checkpoints
+from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
+from ailsrs_jax.runs.storage.directory import RunDirectory, claimed
+from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, require_most_finite
+from ailsrs_jax.runs.storage.policies import kept_policies
+from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
+from ailsrs_jax.runs.storage.trackers import require_tracker
+
+CHECKPOINT_EVERY = 10  # iterations
+
+Watch = Callable[[IterationReport], None]
+Progress = dict[str, Any]  # the training state, and the live steps of each lane so far
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """The result of a run; :func:`~ailsrs_jax.runs.run.train` returns it."""
+
+    config: RunConfig
+    policies: dict[int, SavedPolicy]  #: the kept policy of each seed
+    kept_iterations: dict[int, int]  #: the iteration that each was found in
+    expert_returns: np.ndarray | None  #: of the demonstrations, if there are any
+
+
+class _Run:
+    """One of the runs that are trained together."""
+
+    def __init__(self, plan: Plan, output: Path | None, lane: int | None) -> None:
+        """Use one ``lane`` of a stack, or all lanes if ``lane`` is None."""
+        self.problem: UserError | None = None  # most episodes of an iteration diverged
+        self._plan, self._output, self._lane = plan, output, lane
+        recorded = plan.demonstrations
+        self._returns = None if recorded is None else np.asarray(recorded.returns)
+        self._directory: RunDirectory | None = None
+
+    def claim(self, resume: bool | Literal["where begun"]) -> AbstractContextManager[None]:
+        """Lock the run directory while the context lasts."""
+        assert self._output is not None
+        if resume == "where begun":
+            resume = (self._output / "config.json").exists()
+        return claimed(self._output, self._plan.config, resume=resume)
+
+    def begin(self, progress: Progress, track: str | None) -> RunDirectory | None:
+        """Open the run directory where it is written, which is in the first process only."""
+        if self._output is None or not is_first_process():
+            return None
+        self._directory = RunDirectory(
+            self._output,
+            self._plan.config,
+            command=self._plan.spec.command,
+            expert_returns=self._returns,
+        )
+        num_done = self._num_done(progress)
+        self._directory.begin(num_done, self._part(progress), track)
+        if num_done > 0:
+            self.problem = _earlier_divergence(self._output / "metrics.csv")
+            self.save(progress)
+        return self._directory
+
+    def is_finished(self, progress: Progress) -> bool:
+        """Tell whether no iteration of this run is left."""
+        over = finished(progress["state"])
+        if self._lane is not None:
+            over = np.broadcast_to(over, len(progress["steps"]))[self._lane]
+        num_iterations: int = self._plan.config.settings.num_iterations
+        return self._num_done(progress) == num_iterations or bool(over.all())
+
+    def note(self, report: IterationReport) -> None:
+        """Remember if most episodes of this run diverged."""
+        try:
+            self._part_of(report).require_most_finite()
+        except UserError as error:
+            self.problem = self.problem or error
+
+    def append(self, report: IterationReport, *, to_disk: bool) -> None:
+        """Append an iteration to the journal."""
+        if self._directory is not None:
+            self._directory.append(self._part_of(report), to_disk=to_disk)
+
+    def save(self, progress: Progress) -> None:
+        """Write policies and ``result.json``."""
+        if self._directory is not None:
+            done = self.problem is None and self.is_finished(progress)
+            self._directory.save(self._part(progress), finished=done)
+
+    def result(self, progress: Progress) -> Result:
+        """Return the result, and leave a checkpoint of its own for a run of a stack."""
+        config, part = self._plan.config, self._part(progress)
+        if self._lane is not None and self._output is not None:
+            directory = self._output / "checkpoints"
+            with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
+                checkpoints.save(self._num_done(progress), part)
+        kept = np.asarray(part["state"].kept.iteration).tolist()
+        return Result(
+            config=config,
+            policies=kept_policies(part["state"], config),
+            kept_iterations=dict(zip(config.seeds, kept, strict=True)),
+            expert_returns=self._returns,
+        )
+
+    def _num_done(self, progress: Progress) -> int:
+        return int(np.asarray(progress["state"].iteration)[self._lane or 0])
+
+    def _part(self, progress: Progress) -> Progress:
+        if self._lane is None:
+            return progress
+        lane = slice(self._lane, self._lane + 1)
+        part: Progress = jax.tree.map(lambda x: x[lane], progress)
+        return part
+
+    def _part_of(self, report: IterationReport) -> IterationReport:
+        """Return the metrics of this run, with an equal share of the time of all runs."""
+        if self._lane is None:
+            return report
+        lane, count = slice(self._lane, self._lane + 1), len(report.metrics["env_steps"])
+        return dataclasses.replace(
+            report,
+            metrics={name: values[lane] for name, values in report.metrics.items()},
+            seconds=report.seconds / count,
+            compile_seconds=report.compile_seconds and report.compile_seconds / count,
+        )
+
+
+def _earlier_divergence(path: Path) -> UserError | None:
+    """Return the error of an iteration before this process resumed a stack."""
+    metrics = read_metrics(path)
+    iterations = metrics["iteration"].astype(int)
+    for iteration in np.unique(iterations):
+        mine = iterations == iteration
+        episodes, diverged = (int(metrics[name][mine].sum()) for name in ("episodes", "diverged"))
+        try:
+            require_most_finite(iteration, episodes, diverged)
+        except UserError as error:
+            return error
+    return None
+
+
+def execute(
+    plans: Sequence[Plan],
+    outputs: Sequence[Path | None],
+    *,
+    checkpoints: Path | None = None,
+    resume: bool | Literal["where begun"] = False,
+    checkpoint_every: int = CHECKPOINT_EVERY,
+    track: str | None = None,
+    watch: Watch | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[Result | UserError]:
+    """Train one run, or several runs of one seed and equal ``stack_key`` as one program.
+
+    An interrupted run or stack resumes bit for bit. Stacked runs draw the same random numbers as
+    each alone, bit for bit, and their results agree up to rounding, because XLA multiplies stacked
+    matrices in another order.
+
+    Args:
+        plans: the runs.
+        outputs: the directory of each; None to write nothing.
+        checkpoints: the directory of the shared checkpoints of several runs. A stack resumes from
+            it only with the same runs in the same order.
+        resume: go on from the newest checkpoint; ``"where begun"``: wherever there is a run.
+        checkpoint_every: save the state every so many iterations.
+        track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
+        watch: called after every iteration, with the metrics of all lanes.
+        stop: called after every iteration; if it returns true, the state is saved and
+            KeyboardInterrupt is raised.
+
+    Returns:
+        The result of each run. If most episodes of an iteration diverged in one of several runs,
+        the error that says so takes its place, and the other runs go on.
+
+    Raises:
+        UserError: a directory holds another run, is in use, or cannot be written; or most episodes
+            of an iteration diverged in the only run.
+    """
+    # A trainer refuses wrong settings, so it is made before anything is written.
+    make_trainer, arguments = stack_trainers([plan.make_trainer() for plan in plans])
+    is_stack = len(plans) > 1
+    _require_options(outputs, resume, checkpoint_every, track)
+    runs = [
+        _Run(plan, output, lane=index if is_stack else None)
+        for index, (plan, output) in enumerate(zip(plans, outputs, strict=True))
+    ]
+    if checkpoints is None and outputs[0] is not None:
+        checkpoints = outputs[0] / "checkpoints"
+
+    def init(seed: jax.Array, part: Any) -> Any:
+        return make_trainer(part).init(jax.random.key(seed))
+
+    def update(state: Any, part: Any) -> tuple[Any, dict[str, jax.Array]]:
+        new_state, metrics = make_trainer(part).update(state)
+        if is_stack and hasattr(state, "finished"):  # a finished run waits for the others
+            new_state = jax.tree.map(
+                lambda old, new: jnp.where(state.finished, old, new), state, new_state
+            )
+            metrics["env_steps"] = jnp.where(state.finished, 0, metrics["env_steps"])
+        return new_state, metrics
+
+    with ExitStack() as stack:
+        if outputs[0] is not None:
+            with together(plans[0].config.fingerprint()):
+                for run in runs:
+                    stack.enter_context(run.claim(resume))
+        seeds = np.array([seed for plan in plans for seed in plan.config.seeds], np.int32)
+        state = jax.jit(jax.vmap(init))(seeds, arguments)
+        progress: Progress = {"state": state, "steps": np.zeros(len(seeds), np.int64)}
+        num_done, saver = 0, None
+        if checkpoints is not None:
+            about = {} if is_stack else plans[0].config.as_json()
+            with together():
+                saver = stack.enter_context(Checkpoints(checkpoints, checkpoint_every, about))
+                num_done, progress, found = saver.restore(progress)
+                if num_done > 0 and not is_stack:  # another run's checkpoints may have been copied
+                    found |= {"versions": installed_versions()}  # config.json has been compared
+                    plans[0].config.require_same(found, checkpoints)
+                for run in runs:
+                    if (directory := run.begin(progress, track)) is not None:
+                        stack.enter_context(closing(directory))
+
+        for state, report in iterate(
+            update,
+            progress["state"],
+            np.asarray(progress["steps"]),
+            num_done,
+            plans[0].config.settings.num_iterations,
+            arguments,
+        ):
+            stopping = anywhere(stop()) and not report.is_last
+            going = [run for run in runs if not run.is_finished(progress)]
+            for run in going:
+                run.note(report)
+            failed = all(run.problem is not None for run in runs)
+            num_done = report.iteration
+            if not failed:
+                num_done += 1
+                progress = {"state": state, "steps": report.metrics["env_steps"]}
+            if saver is not None:
+                save = failed or stopping or report.is_last or saver.is_due(num_done)
+                with together():
+                    for run in going:
+                        run.append(report, to_disk=save)
+                    if save:
+                        saver.save(num_done, progress)
+                        for run in runs:
+                            run.save(progress)
+            if failed:
+                break
+            if watch is not None:
+                watch(report)
+            if stopping:
+                raise KeyboardInterrupt
+
+        if not is_stack and runs[0].problem is not None:
+            raise runs[0].problem
+        return [run.problem or run.result(progress) for run in runs]
+
+
+def _require_options(
+    outputs: Sequence[Path | None], resume: object, checkpoint_every: int, track: str | None
+) -> None:
+    if checkpoint_every < 1:
+        raise UserError(f"checkpoint_every is {checkpoint_every}: it must be at least 1")
+    for name, given in (("resume", resume), ("track", track)):
+        if given and None in outputs:
+            raise UserError(f"{name} needs output, the directory of the run")
+    require_tracker(track)

@@ -1,0 +1,127 @@
+"""The plan of a run: a specification that is checked and ready to start."""
+
+import dataclasses
+
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.registry import TASKS, open_env, short_name, takes_physics
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.storage.config import RunConfig, require_seed
+from ailsrs_jax.runs.training_data import TrainingData, read_training_data
+from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
+from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
+from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.presets import changed_settings, preset_settings
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A run that is checked and ready to start."""
+
+    spec: RunSpec  # names and physics resolved, so that its command makes the same run again
+    config: RunConfig
+    env: Env
+    demonstrations: Demonstrations | None
+    physics_reason: str  # why this engine, for people to read
+    devices: Devices
+    rollout_batch_size: int | None  # simulations of a device at a time; None for all
+
+    @property
+    def algorithm(self) -> Algorithm:
+        """The algorithm that trains."""
+        return find_algorithm(self.config.algorithm)
+
+    def make_trainer(self) -> Trainer:
+        """Make the trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
+        return make_trainer(
+            self.algorithm,
+            self.env,
+            self.demonstrations,
+            self.config.settings,
+            self.devices,
+            self.rollout_batch_size,
+        )
+
+
+def plan(spec: RunSpec) -> Plan:
+    """Check ``spec`` completely, and read its demonstrations, before anything is written.
+
+    Raises:
+        UserError: something is wrong.
+    """
+    set_up_jax()
+    env, env_id, engine, reason = open_env(spec.env, spec.physics)
+    seeds = _checked_seeds(spec)
+    algorithm = find_algorithm(spec.algorithm)
+    batch_size = spec.rollout_batch_size
+    if batch_size is not None and batch_size < 1:
+        raise UserError(f"rollout_batch_size is {batch_size}: it must be at least 1")
+    if batch_size is not None and not algorithm.searches:
+        raise UserError(
+            f"rollout_batch_size is for random search: {spec.algorithm} does not take it"
+        )
+    preset = preset_settings(env_id, spec.preset, spec.algorithm)
+    settings = override(preset, spec.settings)
+    data: TrainingData | None = None
+    if algorithm.imitates:
+        data = read_training_data(spec, env, env_id, engine)
+    elif (spec.demonstrations, spec.num_trajectories, spec.subsample) != (None, None, 1):
+        raise UserError(
+            f"{spec.algorithm} learns from the environment's reward: leave out demonstrations, "
+            "num_trajectories and subsample"
+        )
+    config = RunConfig(
+        env_id=env_id,
+        physics=engine,
+        seeds=seeds,
+        algorithm=spec.algorithm,
+        preset=spec.preset,
+        settings=settings,
+        num_trajectories=data.demonstrations.num_trajectories if data else None,
+        source=data.source if data else None,
+        demonstrations_sha256=data.sha256 if data else None,
+        subsample=spec.subsample if data else None,
+    )
+    devices = choose_devices(env, settings.num_directions) if algorithm.searches else ONE_DEVICE
+    if batch_size is None and algorithm.searches:
+        batch_size = choose_batch_size(env)
+    return Plan(
+        _resolved(spec, config),
+        config,
+        env,
+        data.demonstrations if data else None,
+        reason,
+        devices,
+        batch_size,
+    )
+
+
+def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:
+    seeds = tuple(int(seed) for seed in spec.seeds)
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise UserError(f"seeds are {list(seeds)}: give one or more different seeds")
+    for seed in seeds:
+        require_seed(seed)
+    return seeds
+
+
+def _resolved(spec: RunSpec, config: RunConfig) -> RunSpec:
+    """Replace what depends on this machine, and drop settings that are the preset's anyway."""
+    env, physics, env_id = spec.env, spec.physics, config.env_id
+    if isinstance(env, str):
+        env = short_name(env_id) if env_id in TASKS else env_id
+        physics = config.physics if takes_physics(env_id) else "auto"
+    demonstrations = spec.demonstrations
+    if config.source is not None and config.source.kind != "memory":
+        demonstrations = config.source.argument
+    return dataclasses.replace(
+        spec,
+        env=env,
+        demonstrations=demonstrations,
+        seeds=config.seeds,
+        settings=changed_settings(env_id, spec.preset, spec.algorithm, vars(config.settings)),
+        physics=physics,
+    )

@@ -1,0 +1,72 @@
+"""The processes that share one run, as on a cluster; most runs have only one."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+from ailsrs_jax.errors import UserError
+
+
+def join_processes() -> None:
+    """Join the other processes of a SLURM, Open MPI, Kubernetes or Cloud TPU job.
+
+    Raises:
+        UserError: there is no such job, or its processes cannot reach one another.
+    """
+    try:
+        jax.distributed.initialize()
+    except (ValueError, RuntimeError) as error:
+        raise UserError(f"cannot join the processes of a job: {error}") from error
+
+
+def is_first_process() -> bool:
+    """Tell whether this process writes files and prints for all of them."""
+    return jax.process_index() == 0
+
+
+@contextlib.contextmanager
+def together(fingerprint: int = 0) -> Iterator[None]:
+    """Wait for all processes at the end of the block, and fail in all if one fails.
+
+    Without this the other processes would wait forever for the one that failed.
+
+    Args:
+        fingerprint: of the work to be done, which must be equal in all processes.
+
+    Raises:
+        UserError: the block raised it, the block failed in another process, or fingerprints differ.
+    """
+    problem: UserError | None = None
+    try:
+        yield
+    except UserError as error:
+        problem = error
+    if jax.process_count() > 1:
+        mine = np.array([fingerprint, problem is not None])
+        prints, failed = multihost_utils.process_allgather(mine).T
+        if problem is None and failed.any():
+            problem = UserError("another process of this run has failed")
+        elif problem is None and len(set(prints.tolist())) > 1:
+            problem = UserError("the processes have different commands or demonstrations")
+    if problem is not None:
+        raise problem
+
+
+def as_the_first_says(numbers: Sequence[int], most: int) -> list[int]:
+    """Return the first process's ``numbers``: at most ``most``, none of them negative."""
+    if jax.process_count() == 1:
+        return list(numbers)
+    mine = np.full(most, -1)
+    mine[: len(numbers)] = numbers
+    first = multihost_utils.broadcast_one_to_all(mine)
+    return [int(number) for number in first if number >= 0]
+
+
+def anywhere(flag: bool) -> bool:
+    """Tell whether ``flag`` is set in any process of the run."""
+    if jax.process_count() == 1:
+        return flag
+    return bool(multihost_utils.process_allgather(np.array(flag)).any())

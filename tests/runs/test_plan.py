@@ -1,0 +1,88 @@
+"""A plan, and the command line that makes its run again."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
+from ailsrs_jax.data.sources import Source
+from ailsrs_jax.runs.plan import plan
+from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
+from tests.point_mass import PointMass
+from tests.runs.test_run import swimmer_demonstrations
+
+RANDOM_SEARCH = "ailsrs train swimmer --algorithm ars --seeds 0 3"
+COMMANDS: dict[str, dict[str, Any]] = {
+    f"{RANDOM_SEARCH} --physics mujoco": {"algorithm": "ars"},
+    f"{RANDOM_SEARCH} --preset paper --physics mjx": {
+        "algorithm": "ars",
+        "preset": "paper",
+        "physics": "mjx",
+        "env": "Swimmer-v5",
+    },
+    f"{RANDOM_SEARCH} --physics mujoco --rollout-batch-size 3 "
+    "--set noise_std=0.05 normalize_observations=false": {
+        "algorithm": "ars",
+        "rollout_batch_size": 3,
+        "settings": {"noise_std": 0.05, "normalize_observations": False, "episode_length": 1000},
+    },
+    "ailsrs train swimmer --demonstrations 'my demos.npz' --num-trajectories 2 --subsample 4 "
+    "--seeds 0 3 --physics mujoco": {
+        "demonstrations": Path("my demos.npz"),
+        "num_trajectories": 2,
+        "subsample": 4,
+    },
+}
+
+
+@pytest.mark.parametrize(("command", "fields"), COMMANDS.items())
+def test_the_command_names_what_is_not_a_default(
+    command: str, fields: dict[str, Any], in_tmp_path: Path
+) -> None:
+    save_demonstrations(swimmer_demonstrations(), "my demos.npz")
+    spec = RunSpec(**({"env": "swimmer", "seeds": (0, 3), "physics": "mujoco"} | fields))
+    assert plan(spec).spec.command == command
+
+
+def test_auto_physics_is_decided(point_mass: PointMass, in_tmp_path: Path) -> None:
+    made = plan(RunSpec("hopper", algorithm="ars"))
+    assert f"--physics {made.config.physics}" in str(made.spec.command)
+    own = plan(RunSpec("tests.point_mass:PointMass", algorithm="ars"))
+    assert own.spec.command == "ailsrs train tests.point_mass:PointMass --algorithm ars --seeds 0"
+
+
+def test_objects_have_no_command(point_mass: PointMass) -> None:
+    assert plan(RunSpec(point_mass, algorithm="ars")).spec.command is None
+    spec = RunSpec("swimmer", swimmer_demonstrations(), physics="mujoco")
+    made = plan(spec)
+    assert made.spec.command is None
+    assert made.config.source == Source("memory")
+
+
+@pytest.mark.parametrize("of_paper", [False, True])
+def test_the_shipped_expert_is_a_source(of_paper: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def roll_out(env_id: str, number: int, engine: str, *, of_paper: bool) -> Demonstrations:
+        asked.append((env_id, number, engine, of_paper))
+        return Demonstrations(
+            observations=np.zeros((number, 10, 17), np.float32),
+            actions=np.zeros((number, 10, 6), np.float32),
+            lengths=np.full(number, 10),
+            returns=np.ones(number, np.float32),
+            env_id=env_id,
+        )
+
+    monkeypatch.setattr("ailsrs_jax.runs.training_data.expert_demonstrations", roll_out)
+    argument = "expert:paper" if of_paper else None
+    made = plan(RunSpec("walker2d", argument, physics="mujoco"))
+    assert asked == [("Walker2d-v5", NUM_TRAJECTORIES, "mujoco", of_paper)]
+    assert made.config.source == Source("expert", "paper" if of_paper else None)
+    assert made.config.source.argument == argument
+    words = shlex.split(str(made.spec.command))
+    assert ("expert:paper" in words) == of_paper
+    assert made.config.num_trajectories == NUM_TRAJECTORIES

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -26,7 +26,7 @@ EVEN = 0.5  # the score of a discriminator that cannot tell the policy from the 
 MOST_NAMED = 8  # seeds in the legend
 DASHED = (0, (4, 1.5))
 DOTTED: dict[str, Any] = {"color": "0.6", "linestyle": (0, (1, 2)), "linewidth": 1, "zorder": 1}
-LARGER: dict[Any, Any] = STYLE | {"font.size": 9, "legend.fontsize": 8}
+LARGER: list[Any] = [STYLE, {"font.size": 9}]
 
 
 def plot_training_curve(directory: Path) -> Path:
@@ -49,7 +49,7 @@ def plot_training_curve(directory: Path) -> Path:
 def draw_curves(run: SavedRun) -> Figure:
     """Draw a panel for each of :data:`PANELS` that the run has measured, with a line per seed."""
     columns = [name for name in PANELS if name in run.metrics]
-    with matplotlib.rc_context(LARGER):
+    with style.context(LARGER):
         figure, all_axes = panels(columns, len(PANELS), row_height=2.9, width=4 * len(columns))
         for index, (seed, mine) in enumerate(by_seed(run.metrics).items()):
             color = COLORS[index % len(COLORS)]
@@ -76,7 +76,7 @@ def draw_discriminators(tasks: Mapping[str, Sequence[tuple[str, SavedRun]]]) -> 
     """Draw the discriminator's scores in a panel per task, for pairs of a series and a run."""
     series = dict.fromkeys(name for runs in tasks.values() for name, _ in runs)
     colors = dict(zip(series, itertools.cycle(COLORS)))
-    with matplotlib.rc_context(LARGER):
+    with style.context(LARGER):
         figure, all_axes = panels(list(tasks), 3, row_height=3, width=4 * min(len(tasks), 3))
         for task, axes in all_axes.items():
             for name, run in tasks[task]:
@@ -120,7 +120,7 @@ def _explain_returns(axes: Axes, run: SavedRun) -> None:
 
 def _explain_scores(axes: Axes) -> None:
     """Add a legend of the line styles; the colours are explained elsewhere."""
-    styles = {"of the expert": DASHED, "of the policy": "-"}
-    lines = [axes.plot([], [], color="black", linestyle=style)[0] for style in styles.values()]
-    lines.append(axes.axhline(EVEN, **DOTTED))
-    axes.legend(lines, [*styles, "cannot tell"])
+    lines = {"of the expert": DASHED, "of the policy": "-"}
+    handles = [axes.plot([], [], color="black", linestyle=line)[0] for line in lines.values()]
+    handles.append(axes.axhline(EVEN, **DOTTED))
+    axes.legend(handles, [*lines, "cannot tell"])

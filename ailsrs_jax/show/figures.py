@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -49,7 +49,7 @@ def save_figures(results: SweepResults, directory: Path) -> None:
     """Write every figure as PNG and PDF; the same results give the same bytes."""
     for name, figure in draw_figures(results).items():
         for kind, metadata in {"png": {}, "pdf": {"CreationDate": None}}.items():
-            with matplotlib.rc_context(STYLE):
+            with style.context(STYLE):
                 write = partial(figure.savefig, format=kind, metadata=metadata)
                 write_atomically(directory / f"{name}.{kind}", write)
 
@@ -63,7 +63,7 @@ def draw_figures(results: SweepResults) -> dict[str, Figure]:
         name: {"color": color, "marker": marker, "linestyle": line}
         for name, color, marker, line in cycles
     }
-    with matplotlib.rc_context(STYLE):
+    with style.context(STYLE):
         drawn = {
             "figure_2": draw_demonstrations(groups, looks),
             **dict(draw_training_curves(results, groups)),
@@ -201,9 +201,9 @@ def _draw_interval(
     iqm = interquartile_mean(strata)
     # Rounding can put the ends of an interval of equal scores on the wrong side of the mean.
     reach = np.maximum([[iqm.value - iqm.low], [iqm.high - iqm.value]], 0)
-    style = {"color": look["color"], "marker": look["marker"], "markersize": 3.5}
+    marker = {"color": look["color"], "marker": look["marker"], "markersize": 3.5}
     face = look["color"] if filled else "white"
-    axes.errorbar([iqm.value], [y], xerr=reach, markerfacecolor=face, **style)
+    axes.errorbar([iqm.value], [y], xerr=reach, markerfacecolor=face, **marker)
 
 
 def draw_profiles(groups: Sequence[Group], looks: Looks) -> Figure | None:

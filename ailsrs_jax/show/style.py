@@ -7,22 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 WIDTH = 7.16  # [in] of a page with two columns
-STYLE: dict[Any, Any] = {
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8.5,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "legend.handlelength": 2.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4.5,
-    "errorbar.capsize": 2,
-    "text.parse_math": False,  # a dollar sign in a name is not a formula
-    "pdf.fonttype": 42,  # editable text, which publishers require
-    "savefig.dpi": 160,
-}
+STYLE = "ailsrs_jax.show.figures"  # figures.mplstyle
 # The palette of Okabe and Ito without yellow, and without black, which the expert has.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
 # Markers and line styles differ as well, so that series stay distinct in black and white.

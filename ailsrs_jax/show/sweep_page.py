@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
+from matplotlib import style
 
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.curves import draw_discriminators
@@ -90,7 +90,7 @@ def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
 
 def _figures(results: SweepResults) -> list[Media]:
     drawn = draw_figures(results)
-    with matplotlib.rc_context(STYLE):
+    with style.context(STYLE):
         return [
             Media(title, embedded(figure, "png"))
             for begin, title in TITLES.items()

@@ -82,8 +82,9 @@ def result_tables(results: SweepResults) -> list[Table]:
     groups = group_cells(results.cells)
     tables = _aggregate_tables(groups)
     for task in dict.fromkeys(group.env_id for group in groups):
-        rows = [_task_row(group) for group in groups if group.env_id == task]
-        tables.append(Table(task, TASK_HEADER, rows))
+        mine = [group for group in groups if group.env_id == task]
+        rows = [[show(group) for show in COLUMNS.values()] for group in mine]
+        tables.append(Table(task, list(COLUMNS), rows))
     ended = [cell for cell in results.cells if cell.status != NOT_RUN]
     if failed := [[cell.cell, cell.status] for cell in ended if not cell.done]:
         tables.append(Table("Failed", ["cell", "status"], failed))
@@ -91,26 +92,6 @@ def result_tables(results: SweepResults) -> list[Table]:
         missing = f"{len(results.cells) - len(ended)} of {len(results.cells)} cells"
         tables.append(Table("Not run", ["not finished"], [[missing]]))
     return tables
-
-
-TASK_HEADER = [
-    *("", "demonstrations", "seeds", "return", "expert", "normalised", "last"),
-    *("over training, normalised", "steps to 90 %"),
-]
-
-
-def _task_row(group: Group) -> list[str]:
-    return [
-        group.series,
-        _count(group),
-        f"{len(group.cells)} of {group.num_planned}",
-        plus_minus(group.values("return_mean")),
-        _mean(group.values("expert_return")),
-        plus_minus(group.values("normalized"), 2),
-        plus_minus(group.values("last_return")),
-        plus_minus(group.values("normalized_over_training"), 2),
-        _reached(group, group.values("steps_to_90"), lambda steps: f"{steps / 1e6:.2f} M"),
-    ]
 
 
 def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
@@ -197,3 +178,20 @@ def _reached(group: Group, values: np.ndarray, show: Callable[[float], str]) -> 
 
 def _count(group: Group) -> str:
     return "–" if group.num_trajectories is None else str(group.num_trajectories)
+
+
+COLUMNS: dict[str, Callable[[Group], str]] = {  # of the table of a task
+    "": lambda group: group.series,
+    "demonstrations": _count,
+    "seeds": lambda group: f"{len(group.cells)} of {group.num_planned}",
+    "return": lambda group: plus_minus(group.values("return_mean")),
+    "expert": lambda group: _mean(group.values("expert_return")),
+    "normalised": lambda group: plus_minus(group.values("normalized"), 2),
+    "last": lambda group: plus_minus(group.values("last_return")),
+    "over training, normalised": lambda group: plus_minus(
+        group.values("normalized_over_training"), 2
+    ),
+    "steps to 90 %": lambda group: _reached(
+        group, group.values("steps_to_90"), lambda steps: f"{steps / 1e6:.2f} M"
+    ),
+}

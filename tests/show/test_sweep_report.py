@@ -6,8 +6,9 @@ import matplotlib.image
 import pytest
 from matplotlib.figure import Figure
 
-from ailsrs_jax.show.figures import draw_levels
-from ailsrs_jax.show.sweep_report import report_sweep
+from ailsrs_jax.show.figures import draw_figures, draw_levels
+from ailsrs_jax.show.sweep_report import report_sweep, results_table
+from ailsrs_jax.sweeps.results import read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from tests.sweeps.synthetic_sweep import cells, row, write_sweep
 
@@ -73,19 +74,18 @@ def test_nothing_done_is_only_a_table(tmp_path: Path) -> None:
 
 def test_returns_without_an_expert_are_still_reported(tmp_path: Path) -> None:
     rows = [row(0.5, num_trajectories="", expert_return="", normalized="", steps_to_90="")]
-    report_sweep(write_sweep(tmp_path, rows))
-    table = (tmp_path / "table.md").read_text()
+    results = read_results(write_sweep(tmp_path, rows))
+    table = results_table(results)
     assert "| AILSRS | – | 1 of 1 | 1629 | – | – | 1629 | – | – (0 of 1) |" in table
     assert "Interquartile" not in table
-    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert drawn == {"figure_3_ailsrs"}
+    assert draw_figures(results).keys() == {"figure_3_ailsrs"}
 
 
 def test_a_series_without_an_expert_does_not_decide_what_is_compared(tmp_path: Path) -> None:
     rows = [row(0.5), row(0.7, label="BC")]
     rows.append(row(0.5, label="ARS", env_id="Swimmer-v5", num_trajectories="", normalized=""))
-    report_sweep(write_sweep(tmp_path, rows))
-    assert "Interquartile means over 1 condition\n" in (tmp_path / "table.md").read_text()
+    results = read_results(write_sweep(tmp_path, rows))
+    assert "Interquartile means over 1 condition\n" in results_table(results)
 
 
 def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> None:
@@ -96,8 +96,7 @@ def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> No
         for number, score in scores.items()
         for seed in range(3)
     ]
-    report_sweep(write_sweep(tmp_path, rows))
-    assert (tmp_path / "figures" / "scores.png").exists()
+    assert "scores" in draw_figures(read_results(write_sweep(tmp_path, rows)))
 
 
 def test_each_source_of_demonstrations_has_an_expert() -> None:
@@ -119,9 +118,8 @@ def test_each_source_of_demonstrations_has_an_expert() -> None:
 
 
 def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> None:
-    report_sweep(write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")]))
-    drawn = {path.stem for path in (tmp_path / "figures").glob("figure_3*")}
-    assert drawn == {"figure_3_x_1", "figure_3_x_1_2"}
+    write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")])
+    assert {"figure_3_x_1", "figure_3_x_1_2"} <= draw_figures(read_results(tmp_path)).keys()
 
 
 def test_without_matplotlib_there_are_tables_and_one_line(

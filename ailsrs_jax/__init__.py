@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
     from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
+    from ailsrs_jax.trainers.algorithms import find_algorithm as find_algorithm
+    from ailsrs_jax.trainers.algorithms import preset_settings as preset_settings
     from ailsrs_jax.trainers.ars import Ars as Ars
     from ailsrs_jax.trainers.ars import ArsSettings as ArsSettings
     from ailsrs_jax.trainers.ars import make_ars as make_ars
@@ -52,7 +54,9 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.gail import Gail as Gail
     from ailsrs_jax.trainers.gail import GailSettings as GailSettings
     from ailsrs_jax.trainers.gail import make_gail as make_gail
-    from ailsrs_jax.trainers.presets import preset_settings as preset_settings
+    from ailsrs_jax.trainers.parts.rollout import Simulator as Simulator
+    from ailsrs_jax.trainers.parts.trainer import Algorithm as Algorithm
+    from ailsrs_jax.trainers.parts.trainer import Trainer as Trainer
     from ailsrs_jax.trainers.trpo import Trpo as Trpo
     from ailsrs_jax.trainers.trpo import TrpoSettings as TrpoSettings
     from ailsrs_jax.trainers.trpo import make_trpo as make_trpo
@@ -66,6 +70,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 _HOMES = {
     "Ailsrs": "trainers.ailsrs",
     "AilsrsSettings": "trainers.ailsrs",
+    "Algorithm": "trainers.parts.trainer",
     "Animation": "show.video",
     "Ars": "trainers.ars",
     "ArsSettings": "trainers.ars",
@@ -84,6 +89,8 @@ _HOMES = {
     "SavedLinearPolicy": "data.policies",
     "SavedMlpPolicy": "data.policies",
     "SavedPolicy": "data.policies",
+    "Simulator": "trainers.parts.rollout",
+    "Trainer": "trainers.parts.trainer",
     "Trpo": "trainers.trpo",
     "TrpoSettings": "trainers.trpo",
     "UserError": "errors",
@@ -103,7 +110,8 @@ _HOMES = {
     "make_gail": "trainers.gail",
     "make_trpo": "trainers.trpo",
     "merge_sweeps": "sweeps.merge",
-    "preset_settings": "trainers.presets",
+    "find_algorithm": "trainers.algorithms",
+    "preset_settings": "trainers.algorithms",
     "record": "runs.demonstrate",
     "render": "show.video",
     "report": "show.report",

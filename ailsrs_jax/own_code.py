@@ -1,6 +1,7 @@
 """Objects from a user's own files, named ``module:attribute``, and the errors in these files."""
 
 import contextlib
+import functools
 import importlib
 import inspect
 import operator
@@ -40,6 +41,20 @@ def load_own(name: str) -> Any:
     except AttributeError as error:
         hint = did_you_mean(attribute, dir(module))
         raise UserError(f"{module.__file__}, line 1: there is no '{attribute}'{hint}") from error
+
+
+def own_function(name: str) -> Callable[..., Any]:
+    """Return the function ``module:attribute``, whose exceptions become UserErrors."""
+    function = load_own(name)
+    if not callable(function):
+        raise UserError(f"{name} is a {type(function).__name__}: it must be a function")
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        with blamed_on(name, function):
+            return function(*arguments)
+
+    return call
 
 
 @contextlib.contextmanager

@@ -17,8 +17,8 @@ from ailsrs_jax.envs.registry import make_env, resolve_env_id
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
 from ailsrs_jax.trainers import ailsrs
+from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts import exploration
-from ailsrs_jax.trainers.presets import preset_settings
 
 
 def main() -> None:

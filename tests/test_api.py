@@ -16,6 +16,7 @@ WITHOUT_EXAMPLE = {
     *("Ailsrs", "Ars", "BehaviorCloning", "Gail", "Trpo", "MujocoTask", "UserError"),
     *("AilsrsSettings", "ArsSettings", "BehaviorCloningSettings", "EvolutionSettings"),
     *("GailSettings", "PpoSettings", "TrpoSettings"),
+    *("Algorithm", "Simulator", "Trainer"),
     *("Demonstrations", "Evaluation", "IterationReport", "Recording", "Result"),
     *("SavedLinearPolicy", "SavedMlpPolicy"),
     *("load_imitation", "load_minari", "save_minari", "merge_sweeps", "report_sweep"),

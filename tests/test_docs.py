@@ -17,8 +17,8 @@ from ailsrs_jax.cli.arguments import assignments
 from ailsrs_jax.cli.main import app
 from ailsrs_jax.data.demonstrations import load_demonstrations
 from ailsrs_jax.data.policies import load_policy
+from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.settings import override, parse
-from ailsrs_jax.trainers.presets import preset_settings
 from tests.cli.test_cli import TINY, ailsrs
 
 ROOT = Path(__file__).parent.parent

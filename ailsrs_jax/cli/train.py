@@ -91,16 +91,15 @@ def train(
     from ailsrs_jax.runs.spec import RunSpec
     from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
-    from ailsrs_jax.trainers.algorithms import find_algorithm
+    from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
     from ailsrs_jax.trainers.parts.settings import parse
-    from ailsrs_jax.trainers.presets import preset_settings
 
     if resume and output is None:
         raise UserError("--resume needs --output, the directory of the run to continue")
     if distributed:
         if output is None:
             raise UserError("--distributed needs --output, a directory that all processes see")
-        if not find_algorithm(algorithm).searches:
+        if not find_algorithm(algorithm).shares_devices:
             raise UserError(f"--distributed: {algorithm} has no directions to share")
         join_processes()
         terminal = dataclasses.replace(terminal, quiet=terminal.quiet or not is_first_process())
@@ -133,7 +132,7 @@ def train(
     terminal.console.print(
         f"[bold]{planned.algorithm.title} on {config.env_id}[/] · {escape(learns_from)} · preset "
         f"{preset} · seeds {' '.join(map(str, config.seeds))}\nphysics {config.physics} "
-        f"({planned.physics_reason}) · devices: {planned.devices.count} · {escape(str(output))}",
+        f"({planned.physics_reason}) · devices: {planned.simulator.num_devices} · {escape(str(output))}",
         soft_wrap=True,
     )
     stop = StopSignals()

@@ -1,22 +1,20 @@
-"""Running mean and standard deviation of the states met so far, from masked batches."""
-
-from collections.abc import Callable
+"""Running mean and standard deviation of the states seen so far, from masked batches."""
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-# Below so many times 1 + |mean|, a standard deviation in float32 is rounding.
+# A standard deviation below this fraction of 1 + |mean| is rounding in float32.
 MIN_RELATIVE_STD = 1e-6
 
 
 class RunningStatistics(struct.PyTreeNode):
-    """Moments of a stream of vectors; with no samples yet, mean 0 and standard deviation 1."""
+    """Moments of a stream of vectors; without samples the mean is 0 and the deviation 1."""
 
     count: jax.Array  # () float32, number of samples
     mean: jax.Array  # (n,) float32
     sum_of_squares: jax.Array  # (n,) float32, summed squared deviations from the mean
-    # Of each of these, what is too small beside it to be part of it (see :func:`merge`).
+    # The part of each number above that its float32 cannot hold (see :func:`merge`).
     excess: tuple[jax.Array, jax.Array, jax.Array]
 
     @property
@@ -32,26 +30,20 @@ def init(size: int) -> RunningStatistics:
     return RunningStatistics(*zeros, excess=zeros)
 
 
-def update(
-    statistics: RunningStatistics,
-    samples: jax.Array,
-    mask: jax.Array,
-    total: Callable[[jax.Array], jax.Array] = lambda part: part,
-) -> RunningStatistics:
+def update(statistics: RunningStatistics, samples: jax.Array, mask: jax.Array) -> RunningStatistics:
     """Merge the samples ``(..., n)`` whose ``mask (...)`` is true.
 
-    The batch's own moments are computed in passes of their own, which stays accurate when the mean
-    is far from zero: the sum of large numbers rounds, and that of their deviations from the mean
-    that it gives says by how much. Where the batch is spread over devices, each with its own
-    ``samples``, ``total`` is what sums over all of them.
+    The moments of the batch are computed in several passes, which stays accurate when the mean is
+    far from zero: a sum of large numbers rounds, and the sum of their deviations from the mean
+    corrects it.
     """
     samples = samples.reshape(-1, samples.shape[-1])
     mask = mask.reshape(-1, 1)
-    batch_count = total(jnp.sum(mask)).astype(jnp.float32)
+    batch_count = jnp.sum(mask).astype(jnp.float32)
     divisor = jnp.maximum(batch_count, 1.0)
-    batch_mean = total(jnp.sum(samples, axis=0, where=mask)) / divisor
-    batch_mean += total(jnp.sum(samples - batch_mean, axis=0, where=mask)) / divisor
-    batch_sum = total(jnp.sum(jnp.square(samples - batch_mean), axis=0, where=mask))
+    batch_mean = jnp.sum(samples, axis=0, where=mask) / divisor
+    batch_mean += jnp.sum(samples - batch_mean, axis=0, where=mask) / divisor
+    batch_sum = jnp.sum(jnp.square(samples - batch_mean), axis=0, where=mask)
     return merge(statistics, batch_count, batch_mean, batch_sum)
 
 
@@ -65,8 +57,8 @@ def merge(
 
         δ = mean_b − mean_a,   mean = mean_a + δ n_b / n,   M2 = M2_a + M2_b + δ² n_a n_b / n
 
-    The additions are Kahan's: what is lost to rounding in one is added in the next. Without it,
-    float32 would stop counting, and moving, once a batch is a 10⁷th of what was there before.
+    The additions are Kahan's: the rounding error of one is added in the next. Without it, float32
+    would stop counting once a batch is a 10⁷th of the samples before it.
     """
     count = statistics.count + batch_count
     batch_fraction = batch_count / jnp.maximum(count, 1.0)
@@ -84,7 +76,7 @@ def merge(
 
 
 def _add(number: jax.Array, excess: jax.Array, increment: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """``number + excess + increment`` as its nearest float32, and what that leaves over."""
+    """Return ``number + excess + increment`` as its nearest float32, and the rest."""
     increment = increment + excess
     rounded = number + increment
     return rounded, increment - (rounded - number)

@@ -1,4 +1,4 @@
-"""Drawing steps from episodes of different lengths, and remembering drawn steps."""
+"""Draw steps from episodes of different lengths, and remember drawn steps."""
 
 import jax
 import jax.numpy as jnp
@@ -25,18 +25,14 @@ def sample_steps(
 
 
 class StepMemory(struct.PyTreeNode):
-    """A few steps of each episode of the last few iterations, one slot an iteration.
+    """A few steps of each episode of the last few iterations, one slot an iteration."""
 
-    The episodes are those of N pairs of policies. On many devices each remembers the steps of its
-    own N' of them, and all know how long every episode was.
-    """
-
-    steps: jax.Array  # (slots, 2, N', k, d), drawn uniformly from each episode
+    steps: jax.Array  # (slots, 2, N, k, d), drawn uniformly from each episode of N pairs
     lengths: jax.Array  # (slots, 2, N) int32, live steps of each; 0 in a slot not yet filled
     num_inserted: jax.Array  # () int32, insertions ever made
 
     def insert(self, steps: jax.Array, lengths: jax.Array) -> "StepMemory":
-        """Put ``steps (2, N', k, d)`` and ``lengths (2, N)`` in place of the oldest."""
+        """Put ``steps (2, N, k, d)`` and ``lengths (2, N)`` in place of the oldest."""
         slot = self.num_inserted % self.steps.shape[0]
         return StepMemory(
             self.steps.at[slot].set(steps),
@@ -44,35 +40,21 @@ class StepMemory(struct.PyTreeNode):
             self.num_inserted + 1,
         )
 
-    def sample(
-        self, key: jax.Array, num_samples: int, first: jax.Array | int = 0
-    ) -> tuple[jax.Array, jax.Array]:
-        """Draw uniformly, with replacement, from the live steps of all remembered episodes.
+    def sample(self, key: jax.Array, num_samples: int) -> jax.Array:
+        """Draw ``(num_samples, d)`` uniformly, with replacement, from all remembered episodes.
 
-        Args:
-            key: randomness, the same on all devices.
-            num_samples: how many to draw.
-            first: index of the first of the N' pairs remembered here.
-
-        Returns:
-            ``(num_samples, d)`` steps, and ``(num_samples,)`` bool, which of them are remembered
-            here; the others are not what was drawn.
+        An episode is drawn as often as its live steps are, not as the k remembered ones.
         """
-        _, _, num_here, steps_each, _ = self.steps.shape
         episode, time = sample_steps(key, self.lengths.ravel(), num_samples)
         slot, sign, pair = jnp.unravel_index(episode, self.lengths.shape)
-        here = (first <= pair) & (pair < first + num_here)
-        # The steps remembered of an episode are independent draws: any of them will do.
-        drawn = self.steps[slot, sign, jnp.clip(pair - first, 0, num_here - 1), time % steps_each]
-        return drawn, here
+        # The steps remembered of an episode are independent draws, so it does not matter which.
+        return self.steps[slot, sign, pair, time % self.steps.shape[3]]
 
 
-def empty_memory(
-    slots: int, num_pairs: int, steps_each: int, width: int, num_here: int
-) -> StepMemory:
-    """A memory with nothing in it; insert before sampling."""
+def empty_memory(slots: int, num_pairs: int, steps_each: int, width: int) -> StepMemory:
+    """Return a memory with nothing in it; insert before sampling."""
     return StepMemory(
-        steps=jnp.zeros((slots, 2, num_here, steps_each, width)),
+        steps=jnp.zeros((slots, 2, num_pairs, steps_each, width)),
         lengths=jnp.zeros((slots, 2, num_pairs), jnp.int32),
         num_inserted=jnp.zeros((), jnp.int32),
     )

@@ -23,7 +23,8 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import installed_versions, require_seed
-from ailsrs_jax.trainers.parts.rollout import Episodes, simulate
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.rollout import simulate
 
 NOISE_STREAM = 1  # apart from the numbers that a reset draws
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks

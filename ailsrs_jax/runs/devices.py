@@ -11,7 +11,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.files import cache_directory
-from ailsrs_jax.trainers.parts.devices import AXIS, ONE_DEVICE, Devices
+from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
 
 # Simulations of a CPU core at a time. Larger batches use its vector units better. Smaller ones
 # leave fewer cores idle at the end of an iteration, when few episodes are left (measured by
@@ -33,33 +33,22 @@ def set_up_jax() -> None:
             jax.config.update("jax_num_cpu_devices", available_cores())
 
 
-def choose_devices(env: Env, num_directions: int) -> Devices:
-    """Choose the devices of all processes, or as many as can share the directions evenly.
+def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
+    """Simulate on all devices of all processes, ``batch_size`` episodes of each at a time.
 
-    MuJoCo's C engine uses all cores of a process itself, so each process then has one device.
+    MuJoCo's C engine uses all cores of a process itself, so each process then has one device. By
+    default all episodes are simulated at a time. The exception is physics in JAX on CPU cores where
+    episodes end early, because there a simulation costs the same after its episode has ended.
     """
+    devices = jax.devices()
     if _steps_in_c(env):
-        of_each_process = {device.process_index: device for device in reversed(jax.devices())}
+        of_each_process = {device.process_index: device for device in reversed(devices)}
         devices = [of_each_process[index] for index in sorted(of_each_process)]
-    else:
-        devices = jax.devices()
-    if jax.process_count() == 1:  # with more, every process has to take part
-        while num_directions % len(devices):
-            devices = devices[:-1]
-    return Devices(Mesh(np.array(devices), (AXIS,))) if len(devices) > 1 else ONE_DEVICE
-
-
-def choose_batch_size(env: Env) -> int | None:
-    """Choose how many simulations a device runs at a time; None for all.
-
-    Batches pay where episodes can end early but a simulation that has ended still costs time: on
-    CPU cores with physics in JAX.
-    """
-    if jax.default_backend() != "cpu":
-        return None
-    if _steps_in_c(env) or (isinstance(env, MujocoTask) and not env.ends_early):
-        return None
-    return CPU_BATCH_SIZE
+    elif batch_size is None and jax.default_backend() == "cpu":
+        ends_early = not isinstance(env, MujocoTask) or env.ends_early
+        batch_size = CPU_BATCH_SIZE if ends_early else None
+    mesh = Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None
+    return Simulator(env, mesh, batch_size)
 
 
 def _steps_in_c(env: Env) -> bool:

@@ -17,6 +17,7 @@ def iterate(
     start: int,
     num_iterations: int,
     *arguments: Any,
+    place: jax.sharding.Sharding | None = None,
 ) -> Iterator[tuple[Any, IterationReport]]:
     """Apply ``update`` until ``num_iterations`` are done, and yield state and report after each.
 
@@ -29,12 +30,14 @@ def iterate(
         start: iterations already done.
         num_iterations: iterations in all.
         arguments: further arguments of ``update``, for all lanes.
+        place: where results lie on the devices, so that ``update`` can take them again.
     """
     if start == num_iterations or finished(state).all():
         return
     started = time.perf_counter()
     # Compiled ahead of time, which times it separately and rules out compiling again later.
-    compiled = jax.jit(jax.vmap(update)).lower(state, *arguments).compile()
+    jitted = jax.jit(jax.vmap(update), out_shardings=place)
+    compiled = jitted.lower(state, *arguments).compile()
     compile_seconds = time.perf_counter() - started
     for iteration in range(start, num_iterations):
         started = time.perf_counter()

@@ -223,7 +223,8 @@ def execute(
                 for run in runs:
                     stack.enter_context(run.claim(resume))
         seeds = np.array([seed for plan in plans for seed in plan.config.seeds], np.int32)
-        state = jax.jit(jax.vmap(init))(seeds, arguments)
+        place = plans[0].simulator.everywhere
+        state = jax.jit(jax.vmap(init), out_shardings=place)(seeds, arguments)
         progress: Progress = {"state": state, "steps": np.zeros(len(seeds), np.int64)}
         num_done, saver = 0, None
         if checkpoints is not None:
@@ -245,6 +246,7 @@ def execute(
             num_done,
             plans[0].config.settings.num_iterations,
             arguments,
+            place=place,
         ):
             stopping = anywhere(stop()) and not report.is_last
             going = [run for run in runs if not run.is_finished(progress)]

@@ -3,18 +3,21 @@
 import dataclasses
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import TASKS, open_env, short_name, takes_physics
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.config import RunConfig, require_seed
 from ailsrs_jax.runs.training_data import TrainingData, read_training_data
-from ailsrs_jax.trainers.algorithms import Algorithm, find_algorithm, make_trainer
-from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
+from ailsrs_jax.trainers.algorithms import (
+    changed_settings,
+    find_algorithm,
+    make_trainer,
+    preset_settings,
+)
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override
-from ailsrs_jax.trainers.parts.trainer import Trainer
-from ailsrs_jax.trainers.presets import changed_settings, preset_settings
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,11 +26,9 @@ class Plan:
 
     spec: RunSpec  # names and physics resolved, so that its command makes the same run again
     config: RunConfig
-    env: Env
+    simulator: Simulator
     demonstrations: Demonstrations | None
     physics_reason: str  # why this engine, for people to read
-    devices: Devices
-    rollout_batch_size: int | None  # simulations of a device at a time; None for all
 
     @property
     def algorithm(self) -> Algorithm:
@@ -36,14 +37,8 @@ class Plan:
 
     def make_trainer(self) -> Trainer:
         """Make the trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
-        return make_trainer(
-            self.algorithm,
-            self.env,
-            self.demonstrations,
-            self.config.settings,
-            self.devices,
-            self.rollout_batch_size,
-        )
+        config = self.config
+        return make_trainer(config.algorithm, self.simulator, self.demonstrations, config.settings)
 
 
 def plan(spec: RunSpec) -> Plan:
@@ -59,7 +54,7 @@ def plan(spec: RunSpec) -> Plan:
     batch_size = spec.rollout_batch_size
     if batch_size is not None and batch_size < 1:
         raise UserError(f"rollout_batch_size is {batch_size}: it must be at least 1")
-    if batch_size is not None and not algorithm.searches:
+    if batch_size is not None and not algorithm.shares_devices:
         raise UserError(
             f"rollout_batch_size is for random search: {spec.algorithm} does not take it"
         )
@@ -85,17 +80,15 @@ def plan(spec: RunSpec) -> Plan:
         demonstrations_sha256=data.sha256 if data else None,
         subsample=spec.subsample if data else None,
     )
-    devices = choose_devices(env, settings.num_directions) if algorithm.searches else ONE_DEVICE
-    if batch_size is None and algorithm.searches:
-        batch_size = choose_batch_size(env)
+    simulator = Simulator(env)
+    if algorithm.shares_devices:
+        simulator = choose_simulator(env, batch_size)
     return Plan(
-        _resolved(spec, config),
-        config,
-        env,
-        data.demonstrations if data else None,
-        reason,
-        devices,
-        batch_size,
+        spec=_resolved(spec, config),
+        config=config,
+        simulator=simulator,
+        demonstrations=data.demonstrations if data else None,
+        physics_reason=reason,
     )
 
 

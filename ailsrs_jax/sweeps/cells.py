@@ -13,8 +13,8 @@ from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_json_object, write_atomically
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.settings import parse
-from ailsrs_jax.trainers.presets import preset_settings
 
 PLAIN_NAME = re.compile(r"\w[\w.=+-]*")  # of a cell: a directory of its own, nowhere else
 MAX_SWEEP = 2**26  # bytes of sweep.json; a cell has about 2000

@@ -13,10 +13,9 @@ from ailsrs_jax.components.policy import LinearPolicy, repeated
 from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.trainers.algorithms import find_algorithm
+from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
 from ailsrs_jax.trainers.parts.rollout import simulate
 from ailsrs_jax.trainers.parts.settings import override, parse
-from ailsrs_jax.trainers.presets import preset_settings
 
 TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # of the measurement of speed
 
@@ -75,7 +74,7 @@ def estimated_env_steps(cell: Cell) -> int:
 
 def _num_episodes(cell: Cell, settings: Any) -> int:
     """Whole episodes in an iteration."""
-    if find_algorithm(cell.algorithm).searches:
+    if find_algorithm(cell.algorithm).shares_devices:
         return int(2 * settings.num_directions + settings.num_evaluation_episodes)
     kinds = 2 if hasattr(settings, "updates_per_iteration") else 1  # of the mean, and drawn
     return int(kinds * settings.num_evaluation_episodes)
@@ -86,7 +85,7 @@ def _memory_bytes(cell: Cell) -> int:
     settings, (n, p) = _settings(cell), env_sizes(open_env(cell.env_id, cell.physics).env)
     steps = _num_episodes(cell, settings) * settings.episode_length
     numbers = steps * (n + p + 1)
-    if find_algorithm(cell.algorithm).searches:
+    if find_algorithm(cell.algorithm).shares_devices:
         numbers += 2 * settings.num_directions * n * p
     running = getattr(settings, "standardize_with", "") == "running"
     running |= getattr(settings, "normalize_observations", False)  # of ARS

@@ -21,8 +21,8 @@ from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.sweeps.cells import Cell, Sweep
+from ailsrs_jax.trainers.algorithms import changed_settings
 from ailsrs_jax.trainers.parts.settings import as_text
-from ailsrs_jax.trainers.presets import changed_settings
 
 # Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
 # a list, whose elements are tried in turn. ``settings`` is a table of such values.

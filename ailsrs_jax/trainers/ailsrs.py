@@ -16,13 +16,14 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
-from ailsrs_jax.trainers.parts.devices import EVERYWHERE, ONE_DEVICE, Devices, shared
-from ailsrs_jax.trainers.parts.exploration import count_episodes, explore
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.exploration import Exploration, explore
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
-from ailsrs_jax.trainers.parts.rollout import Episodes
+from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable, validate
-from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 Metrics = dict[str, jax.Array]
 
@@ -35,22 +36,27 @@ class AilsrsSettings(AdversarySettings):
     num_directions: int = 320
     num_top_directions: int = 320  #: the paper uses all
     step_size: Positive = 0.02
-    final_step_size: float = 0.02  #: reached linearly at the last iteration, whatever the first is
+    final_step_size: float = 0.02  #: reached linearly at the last iteration
     noise_std: Positive = 0.03
     episode_length: int = 1000
-    memory_iterations: int = 1  #: the discriminator sees the policies of so many iterations
-    memory_samples: int = 4000  #: at least so many are remembered of each iteration
-    #: What a step after an episode's end is worth, as a share of the mean over its live steps. At
-    #: 1, the paper's, a rollout is worth the mean over its live steps; at 0 their sum, over T.
+    memory_iterations: int = 1  #: the discriminator sees the policies of this many iterations
+    memory_samples: int = 4000  #: at least this many steps of each iteration are remembered
+    #: the worth of a step after an episode's end, as a share of the mean over its live steps: with
+    #: 1, the paper's, an episode is worth the mean over its live steps; with 0 their sum, over T
     reward_after_end: UpToOne = 1.0
     behavior_cloning_start: bool = False
     standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     num_evaluation_episodes: int = 4
     num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that an iteration simulates at most."""
+        return (2 * self.num_directions + self.num_evaluation_episodes) * self.episode_length
+
 
 class TrainState(struct.PyTreeNode):
-    """What one iteration hands to the next."""
+    """The state that one iteration hands to the next."""
 
     weights: jax.Array  # (p, n)
     statistics: RunningStatistics  # what observations are standardised with
@@ -61,50 +67,16 @@ class TrainState(struct.PyTreeNode):
     iteration: jax.Array  # () int32
 
 
-# Where each part of the state is: each device remembers steps of its own episodes only.
-STATE_SPECS = TrainState(
-    weights=EVERYWHERE,
-    statistics=EVERYWHERE,
-    adversary=EVERYWHERE,
-    memory=StepMemory(steps=shared(axis=2), lengths=EVERYWHERE, num_inserted=EVERYWHERE),
-    kept=EVERYWHERE,
-    key=EVERYWHERE,
-    iteration=EVERYWHERE,
-)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ailsrs(Trainer):
-    """Imitates ``expert`` in ``env``, whose reward is measured but never used.
+    """Imitates ``reference`` in an environment; its reward is measured but never used."""
 
-    Directions are shared by ``devices``, and each simulates ``rollout_batch_size`` episodes at a
-    time, by default all of its share; the results depend on neither but by rounding.
-    """
-
-    env: Env
+    simulator: Simulator
     settings: AilsrsSettings
     reference: Reference
-    devices: Devices = ONE_DEVICE
-    rollout_batch_size: int | None = None
 
     def init(self, key: jax.Array) -> TrainState:
-        """The paper's start, all weights zero and no statistics; or behaviour cloning's."""
-        return self.devices.split(self._init, STATE_SPECS, EVERYWHERE)(key)
-
-    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        """One iteration of the paper's Algorithm 2.
-
-        The unperturbed policy's evaluation episodes are simulated in the same batch. They measure
-        its distance to the expert, which decides what to keep, and its return, for people to see;
-        neither the search nor the discriminator learns from them.
-        """
-        return self.devices.split(self._update, (STATE_SPECS, EVERYWHERE), STATE_SPECS)(state)
-
-    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """The unperturbed policy, with statistics frozen as they are."""
-        return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
-
-    def _init(self, key: jax.Array) -> TrainState:
+        """Start with weights of zero and no statistics, as the paper does; or with a clone."""
         settings = self.settings
         key, network_key = jax.random.split(key)
         statistics = normalizer.init(self.env.observation_size)
@@ -117,146 +89,87 @@ class Ailsrs(Trainer):
         return TrainState(
             weights=weights,
             statistics=statistics,
-            adversary=self._adversary.init(network_key),
+            adversary=self.adversary.init(network_key),
             memory=empty_memory(
                 slots=settings.memory_iterations,
                 num_pairs=settings.num_directions,
-                num_here=settings.num_directions // self.devices.count,
                 steps_each=self._steps_each,
-                width=self._adversary.input_size,
+                width=self.adversary.input_size,
             ),
             kept=keep(self.policy(weights, statistics)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
         )
 
-    def _update(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        """:meth:`update` on one device. All of the state but the memory's steps is everywhere."""
-        settings, devices = self.settings, self.devices
-        num_evaluations = settings.num_evaluation_episodes
+    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
+        """Run one iteration of the paper's Algorithm 2: ask, simulate, judge, tell.
+
+        The unperturbed policy is evaluated in the same batch. Its episodes decide which policy is
+        kept, by their distance to the expert; neither search nor discriminator learn from them.
+        """
         keys = jax.random.split(state.key, 6)
-        key, noise_key, reset_key, memory_key, discriminator_key, distance_key = keys
-
-        # 1. Roll out the 2N perturbed policies, and the unperturbed one a few times.
+        key, ask_key, reset_key, memory_key, adversary_key, distance_key = keys
         policy = self.policy(state.weights, state.statistics)
-        deltas = random_search.sample_directions(
-            noise_key, settings.num_directions, state.weights.shape
-        )
-        batch = explore(
-            self.env,
-            policy,
-            deltas,
-            reset_key,
-            noise_std=settings.noise_std,
-            num_evaluation_episodes=num_evaluations,
-            episode_length=settings.episode_length,
-            devices=devices,
-            batch_size=self.rollout_batch_size,
-        )
 
-        # 2. Train the discriminator to tell their steps from the expert's.
-        lengths = devices.gather(batch.usable_lengths[num_evaluations:].reshape(2, -1), axis=1)
-        memory = state.memory.insert(
-            self._sample_inputs(memory_key, batch), self._adversary.num_seen(lengths)
-        )
-        adversary, adversary_metrics = self._adversary.train(
-            state.adversary,
-            discriminator_key,
-            lambda key, size: memory.sample(key, size, devices.first(memory.lengths, axis=2)),
-        )
+        deltas = self.ask(ask_key)
+        exploration = explore(self.simulator, policy, deltas, reset_key, self.settings)
+        memory = self.remember(state.memory, exploration, memory_key)
+        adversary, scores = self.adversary.train(state.adversary, adversary_key, memory.sample)
+        returns = exploration.pairs(self.judge(adversary, exploration.episodes))
+        weights = self.tell(state, deltas, returns)
 
-        # 3. Let it judge every rollout, and 4. step along the directions it liked.
-        returns = self._imitation_returns(adversary, batch)[num_evaluations:]
-        returns_plus, returns_minus = devices.gather(returns.reshape(2, -1), axis=1)
-        weights = random_search.step(
-            state.weights,
-            deltas,
-            returns_plus,
-            returns_minus,
-            step_size=self._step_size(state.iteration),
-            num_top_directions=settings.num_top_directions,
-        )
-
-        # 5. Merge the states met into the statistics that the next iteration standardises with.
-        statistics = state.statistics
-        if settings.standardize_with == "running":
-            statistics = normalizer.update(
-                statistics, batch.observations, batch.alive_from(num_evaluations), devices.sum
-            )
-
-        evaluation = batch.episodes(0, num_evaluations)
-        # Beside other episodes on each device, which can change the last bits.
-        evaluated = devices.agree(
-            {
-                "evaluation_return": evaluation.env_returns.mean(),
-                "evaluation_length": evaluation.lengths.mean(),
-                "expert_distance": self.reference.distance(
-                    distance_key, evaluation, settings.episode_length
-                ),
-            }
-        )
-        all_returns = jnp.stack([returns_plus, returns_minus])
-        mean_return = all_returns.mean()
+        evaluation = exploration.evaluation
+        distance = self.reference.distance(distance_key, evaluation, self.settings.episode_length)
         metrics = {
-            **evaluated,
-            "imitation_reward": jnp.where(
-                jnp.isnan(mean_return), jnp.nanmean(all_returns), mean_return
-            ),
-            **adversary_metrics,
-            **count_episodes(batch, num_evaluations, devices),
+            "evaluation_return": evaluation.env_returns.mean(),
+            "evaluation_length": evaluation.lengths.mean(),
+            "expert_distance": distance,
+            "imitation_reward": _mean_of_finite(returns),
+            **scores,
+            **exploration.episodes.counts(),
         }
         state = TrainState(
             weights=weights,
-            statistics=statistics,
+            statistics=self.merge_states(state.statistics, exploration),
             adversary=adversary,
             memory=memory,
-            kept=state.kept.offer(policy, -evaluated["expert_distance"], state.iteration),
+            kept=state.kept.offer(policy, -distance, state.iteration),
             key=key,
             iteration=state.iteration + 1,
         )
         return state, metrics
 
-    @property
-    def _adversary(self) -> Adversary:
-        return Adversary(self.settings, self.reference, self.devices)
+    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
+        """Return the unperturbed policy, with the statistics frozen as they are."""
+        return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
 
-    @property
-    def _steps_each(self) -> int:
-        """Steps remembered of each episode."""
-        return -(-self.settings.memory_samples // (2 * self.settings.num_directions))
+    def ask(self, key: jax.Array) -> jax.Array:
+        """Draw ``deltas (N, p, n)``, the directions in which the policy is perturbed."""
+        shape = self.env.action_size, self.env.observation_size
+        return random_search.sample_directions(key, self.settings.num_directions, shape)
 
-    def _step_size(self, iteration: jax.Array) -> jax.Array:
-        settings = self.settings
-        # Whoever calls `update` more often stays at the last, and does not step backwards.
-        done = jnp.minimum(iteration / max(settings.num_iterations - 1, 1), 1.0)
-        return settings.step_size + done * (settings.final_step_size - settings.step_size)
-
-    def _sample_inputs(self, key: jax.Array, batch: Episodes) -> jax.Array:
-        """``(2, N', k, d)`` discriminator inputs of k live steps of each perturbed policy."""
+    def remember(self, memory: StepMemory, exploration: Exploration, key: jax.Array) -> StepMemory:
+        """Insert discriminator inputs of k random live steps of each perturbed policy."""
+        num_seen = self.adversary.num_seen(exploration.episodes.usable_lengths)[:, None]
         shape = (2, self.settings.num_directions, self._steps_each)
-        fractions = self.devices.mine(jax.random.uniform(key, shape), axis=1)
-        fractions = fractions.reshape(-1, self._steps_each)
-        first = self.settings.num_evaluation_episodes
-        num_seen = self._adversary.num_seen(batch.usable_lengths[first:, None])
-        # A fraction just below 1 can round up. Of no steps any zero will do: it is never drawn.
+        fractions = jax.random.uniform(key, shape).reshape(-1, self._steps_each)
+        fractions = jnp.pad(fractions, [(exploration.num_evaluations, 0), (0, 0)])
+        # A fraction just below 1 can round up. Episodes without steps are never sampled, so time 0
+        # is a safe placeholder.
         time = jnp.minimum((fractions * num_seen).astype(jnp.int32), jnp.maximum(num_seen - 1, 0))
-        episode = first + jnp.arange(len(time))[:, None]
-        following = batch.observations.at[episode, time + 1].get(mode="fill", fill_value=0.0)
-        inputs = self._adversary.inputs(
-            batch.observations[episode, time], batch.actions[episode, time], following
-        )
-        return inputs.reshape(2, -1, *inputs.shape[1:])
+        inputs = self.adversary.inputs(*exploration.episodes.steps_at(time))
+        return memory.insert(exploration.pairs(inputs), exploration.pairs(num_seen.squeeze(1)))
 
-    def _imitation_returns(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
-        """``(B,)`` reward of each rollout, r̄ (ρ + (1 − ρ) L / T); NaN of one that diverged.
+    def judge(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
+        """Return the imitation return ``(B,)`` of each episode, r̄ (ρ + (1 − ρ) L / T).
 
-        r̄ is the mean over its L live steps, and ρ what those after its end are worth. A mean over
-        live steps cannot see a fall, and their sum of positive rewards pays a policy for standing
-        still; between the two both lose.
+        r̄ is the mean reward of its L live steps, and ρ the worth of those after its end. A mean
+        over live steps does not see a fall. A sum of positive rewards pays a policy for standing
+        still. Between the two, both lose. The return of an episode that diverged is NaN.
         """
-        num_seen = self._adversary.num_seen(episodes.usable_lengths)
+        num_seen = self.adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
-            lambda *steps: self._adversary.rewards(adversary, self._adversary.inputs(*steps)),
+            lambda *steps: self.adversary.rewards(adversary, self.adversary.inputs(*steps)),
             num_seen,
         )
         worth = self.settings.reward_after_end
@@ -264,13 +177,41 @@ class Ailsrs(Trainer):
         returns = totals / num_seen * (worth + (1.0 - worth) * lasted)
         return jnp.where(episodes.diverged, jnp.nan, returns)
 
+    def tell(self, state: TrainState, deltas: jax.Array, returns: jax.Array) -> jax.Array:
+        """Step along the directions ``deltas`` that had the highest ``returns (2, N)``."""
+        settings = self.settings
+        # The step size stays at its last value if ``update`` is called more often than planned.
+        done = jnp.minimum(state.iteration / max(settings.num_iterations - 1, 1), 1.0)
+        return random_search.step(
+            state.weights,
+            deltas,
+            *returns,
+            step_size=settings.step_size + done * (settings.final_step_size - settings.step_size),
+            num_top_directions=settings.num_top_directions,
+        )
+
+    def merge_states(
+        self, statistics: RunningStatistics, exploration: Exploration
+    ) -> RunningStatistics:
+        """Merge the observations of this iteration into what the next one standardises with."""
+        if self.settings.standardize_with == "expert":
+            return statistics
+        observations = exploration.episodes.observations
+        return normalizer.update(statistics, observations, exploration.alive)
+
+    @property
+    def adversary(self) -> Adversary:
+        """The discriminator's functions; its parameters are part of the state."""
+        return Adversary(self.settings, self.reference)
+
+    @property
+    def _steps_each(self) -> int:
+        """Steps remembered of each episode."""
+        return -(-self.settings.memory_samples // (2 * self.settings.num_directions))
+
 
 def make_ailsrs(
-    env: Env,
-    demonstrations: Demonstrations,
-    settings: AilsrsSettings,
-    devices: Devices = ONE_DEVICE,
-    rollout_batch_size: int | None = None,
+    env: Env | Simulator, demonstrations: Demonstrations, settings: AilsrsSettings
 ) -> Ailsrs:
     """Prepare the demonstrations for training in ``env``; see :class:`Ailsrs`.
 
@@ -287,8 +228,8 @@ def make_ailsrs(
     (2,)
 
     Raises:
-        UserError: a setting makes no sense, the directions cannot be shared evenly, there are too
-            many steps to count, or the demonstrations do not hold what the settings need.
+        UserError: a setting makes no sense, there are too many steps to count, or the
+            demonstrations do not hold what the settings need.
     """
     validate(settings)
     if settings.imitation_reward == "airl" and settings.reward_after_end != 1.0:
@@ -296,11 +237,20 @@ def make_ailsrs(
             f"reward_after_end is {settings.reward_after_end}: imitation_reward=airl, which is "
             "negative where the policy is told apart, would reward an early end; set it to 1"
         )
-    devices.require_share(settings.num_directions)
     remembered = 2 * settings.num_directions * settings.memory_iterations
     require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)
-    expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
-    Adversary(settings, expert)  # checks that the demonstrations hold what it sees
+    reference = make_reference(
+        demonstrations, settings.episode_length, settings.num_distance_samples
+    )
+    Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
-        expert.require_actions("behavior_cloning_start")
-    return Ailsrs(env, settings, expert, devices, rollout_batch_size)
+        reference.require_actions("behavior_cloning_start")
+    return Ailsrs(as_simulator(env), settings, reference)
+
+
+AILSRS = Algorithm("AILSRS", make_ailsrs, AilsrsSettings, presets.AILSRS, shares_devices=True)
+
+
+def _mean_of_finite(returns: jax.Array) -> jax.Array:
+    mean = returns.mean()
+    return jnp.where(jnp.isnan(mean), jnp.nanmean(returns), mean)

@@ -15,10 +15,11 @@ from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
-from ailsrs_jax.trainers.parts.devices import EVERYWHERE, ONE_DEVICE, Devices
-from ailsrs_jax.trainers.parts.exploration import count_episodes, explore
+from ailsrs_jax.trainers import presets
+from ailsrs_jax.trainers.parts.exploration import explore
+from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, require_countable, validate
-from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,17 +32,22 @@ class ArsSettings:
     step_size: Positive = 0.02
     noise_std: Positive = 0.03
     episode_length: int = 1000
-    scale_by_std: bool = True  #: False is BRS
-    normalize_observations: bool = True  #: False is BRS and V1
+    scale_by_std: bool = True  #: False in BRS
+    normalize_observations: bool = True  #: False in BRS and V1
     survival_bonus: Signed = 0.0  #: subtracted from the reward of every step
     num_evaluation_episodes: int = 8
 
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that an iteration simulates at most."""
+        return (2 * self.num_directions + self.num_evaluation_episodes) * self.episode_length
+
 
 class TrainState(struct.PyTreeNode):
-    """What one iteration hands to the next."""
+    """The state that one iteration hands to the next."""
 
     weights: jax.Array  # (p, n)
-    statistics: RunningStatistics  # of all states met
+    statistics: RunningStatistics  # of all observations
     kept: KeptPolicy  # best by the return of its evaluation episodes
     key: jax.Array
     iteration: jax.Array  # () int32
@@ -49,21 +55,13 @@ class TrainState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ars(Trainer):
-    """Random search of a linear policy on the reward of ``env``.
+    """Random search of a linear policy on the environment's reward."""
 
-    ``devices`` and ``rollout_batch_size`` are as in :class:`~ailsrs_jax.trainers.ailsrs.Ailsrs`.
-    """
-
-    env: Env
+    simulator: Simulator
     settings: ArsSettings
-    devices: Devices = ONE_DEVICE
-    rollout_batch_size: int | None = None
 
     def init(self, key: jax.Array) -> TrainState:
-        """The paper's start: all weights zero, no statistics."""
-        return self.devices.split(self._init, EVERYWHERE, EVERYWHERE)(key)
-
-    def _init(self, key: jax.Array) -> TrainState:
+        """Start with weights of zero and no statistics, as the paper does."""
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         statistics = normalizer.init(self.env.observation_size)
         return TrainState(
@@ -75,67 +73,36 @@ class Ars(Trainer):
         )
 
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-        """One iteration: perturb, roll out, step; then merge the states met."""
-        return self.devices.split(self._update, EVERYWHERE, EVERYWHERE)(state)
-
-    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """The unperturbed policy, with statistics frozen as they are."""
-        low, high = action_range(self.env)
-        if not self.settings.normalize_observations:
-            statistics = normalizer.init(self.env.observation_size)
-        return LinearPolicy(weights, statistics.mean, statistics.std, low, high)
-
-    def _update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-        """:meth:`update` on one device."""
-        settings, devices = self.settings, self.devices
+        """Run one iteration: perturb, simulate, step; then merge the observations."""
+        settings = self.settings
         key, noise_key, reset_key = jax.random.split(state.key, 3)
-
         policy = self.policy(state.weights, state.statistics)
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        num_evaluations = settings.num_evaluation_episodes
-        batch = explore(
-            self.env,
-            policy,
-            deltas,
-            reset_key,
-            noise_std=settings.noise_std,
-            num_evaluation_episodes=num_evaluations,
-            episode_length=settings.episode_length,
-            devices=devices,
-            batch_size=self.rollout_batch_size,
+        exploration = explore(self.simulator, policy, deltas, reset_key, settings)
+        episodes, evaluation = exploration.episodes, exploration.evaluation
+        returns = exploration.pairs(
+            episodes.env_returns - settings.survival_bonus * episodes.lengths
         )
-
-        returns = batch.env_returns - settings.survival_bonus * batch.lengths
-        returns = returns[num_evaluations:].reshape(2, -1)
-        returns_plus, returns_minus = devices.gather(returns, axis=1)
         weights = random_search.step(
             state.weights,
             deltas,
-            returns_plus,
-            returns_minus,
+            *returns,
             step_size=settings.step_size,
             num_top_directions=settings.num_top_directions,
             scale_by_std=settings.scale_by_std,
         )
-        evaluation = batch.episodes(0, num_evaluations)
-        # Beside other episodes on each device, which can change the last bits.
-        evaluation_return, evaluation_length = devices.agree(
-            (evaluation.env_returns.mean(), evaluation.lengths.mean())
-        )
+        evaluation_return = evaluation.env_returns.mean()
         metrics = {
             "evaluation_return": evaluation_return,
-            "evaluation_length": evaluation_length,
-            **count_episodes(batch, num_evaluations, devices),
+            "evaluation_length": evaluation.lengths.mean(),
+            **episodes.counts(),
         }
         state = TrainState(
             weights=weights,
             statistics=normalizer.update(
-                state.statistics,
-                batch.observations,
-                batch.alive_from(num_evaluations),
-                devices.sum,
+                state.statistics, episodes.observations, exploration.alive
             ),
             kept=state.kept.offer(policy, evaluation_return, state.iteration),
             key=key,
@@ -143,21 +110,33 @@ class Ars(Trainer):
         )
         return state, metrics
 
+    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
+        """Return the unperturbed policy, with the statistics frozen as they are."""
+        if not self.settings.normalize_observations:
+            statistics = normalizer.init(self.env.observation_size)
+        return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
 
-def make_ars(
-    env: Env,
-    settings: ArsSettings,
-    devices: Devices = ONE_DEVICE,
-    rollout_batch_size: int | None = None,
-) -> Ars:
-    """See :class:`Ars`.
+
+def make_ars(env: Env | Simulator, settings: ArsSettings) -> Ars:
+    """Check the settings; see :class:`Ars`.
 
     Raises:
-        UserError: a setting makes no sense, the directions cannot be shared evenly, or there are
-            too many steps to count.
+        UserError: a setting makes no sense, or there are too many steps to count.
     """
     validate(settings)
-    num_episodes = 2 * settings.num_directions + settings.num_evaluation_episodes
-    require_countable(num_episodes * settings.episode_length)
-    devices.require_share(settings.num_directions)
-    return Ars(env, settings, devices, rollout_batch_size)
+    require_countable(settings.steps_per_iteration)
+    return Ars(as_simulator(env), settings)
+
+
+ARS = Algorithm(
+    title="ARS",
+    make=lambda simulator, _, settings: make_ars(simulator, settings),
+    settings=ArsSettings,
+    presets=presets.ARS,
+    imitates=False,
+    shares_devices=True,
+    kept_by="evaluation_return",
+)
+BRS = dataclasses.replace(
+    ARS, title="BRS", presets=presets.basic_random_search(presets.ARS, vars(ArsSettings()))
+)

@@ -8,17 +8,18 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep, repeated
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
+from ailsrs_jax.trainers import presets
+from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
-from ailsrs_jax.trainers.parts.rollout import episode_counts, simulate
+from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, PositiveUpToOne, validate
-from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,32 +37,37 @@ class BehaviorCloningSettings:
     num_evaluation_episodes: int = 4
     num_distance_samples: int = 1500  #: from each side
 
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that an iteration simulates at most."""
+        return self.num_evaluation_episodes * self.episode_length
+
 
 class TrainState(struct.PyTreeNode):
-    """What one iteration hands to the next."""
+    """The state that one iteration hands to the next."""
 
     weights: jax.Array  # (p, n)
     optimizer: optax.OptState
     kept: KeptPolicy  # of the smallest validation loss so far
     key: jax.Array
     iteration: jax.Array  # () int32
-    finished: jax.Array  # () bool, nothing has got better for a while, or nothing can
+    finished: jax.Array  # () bool, the validation loss has stopped falling
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BehaviorCloning(Trainer):
-    """Clones the ``expert``; ``env`` is only there to see how well that does.
+    """Clones the expert of ``reference``; the environment only shows how good the clone is.
 
     Minimises E ‖M z − a‖² over the expert's actions a and observations z, standardised with its
-    own statistics. A part of it is held out, to tell when to stop and what to keep.
+    own statistics. Steps that are held out decide when to stop and which policy to keep.
     """
 
-    env: Env
+    simulator: Simulator
     settings: BehaviorCloningSettings
     reference: Reference
 
     def init(self, key: jax.Array) -> TrainState:
-        """All weights zero."""
+        """Start with weights of zero."""
         weights = jnp.zeros((self.env.action_size, self.env.observation_size))
         return TrainState(
             weights=weights,
@@ -73,7 +79,7 @@ class BehaviorCloning(Trainer):
         )
 
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-        """Some steps of Adam, or the exact solution; then measure the losses and the return."""
+        """Take some steps of Adam, or solve exactly; then measure the losses and the return."""
         settings, expert = self.settings, self.reference
         keys = jax.random.split(state.key, 4)
         key, batch_key, reset_key, distance_key = keys
@@ -91,8 +97,7 @@ class BehaviorCloning(Trainer):
         waited = state.iteration - kept.iteration >= settings.patience
 
         num_episodes = settings.num_evaluation_episodes
-        evaluation = simulate(
-            self.env,
+        evaluation = self.simulator(
             repeated(policy, num_episodes),
             jax.random.split(reset_key, num_episodes),
             settings.episode_length,
@@ -103,7 +108,7 @@ class BehaviorCloning(Trainer):
             "expert_distance": expert.distance(distance_key, evaluation, settings.episode_length),
             "training_loss": self._loss(weights, training),
             "validation_loss": validation_loss,
-            **episode_counts(evaluation),
+            **evaluation.counts(),
         }
         state = TrainState(
             weights=weights,
@@ -116,7 +121,7 @@ class BehaviorCloning(Trainer):
         return state, metrics
 
     def policy(self, weights: jax.Array) -> LinearPolicy:
-        """The policy with the expert's statistics."""
+        """Return the policy, with the expert's statistics."""
         statistics = self.reference.statistics
         return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
 
@@ -127,43 +132,36 @@ class BehaviorCloning(Trainer):
     def _descend(
         self, weights: jax.Array, optimizer: optax.OptState, lengths: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, optax.OptState]:
-        """Adam on minibatches of the first ``lengths (E,)`` steps of the demonstrations."""
+        """Run Adam on minibatches of the first ``lengths (E,)`` steps of each demonstration."""
         settings, expert = self.settings, self.reference
 
-        def loss(weights: jax.Array, episode: jax.Array, time: jax.Array) -> jax.Array:
+        def loss(weights: jax.Array, key: jax.Array) -> tuple[jax.Array, None]:
+            episode, time = sample_steps(key, lengths, settings.batch_size)
             predicted = expert.observations[episode, time] @ weights.T
             errors = jnp.square(predicted - expert.actions[episode, time])
-            return errors.sum(axis=-1).mean()
-
-        def adam_step(
-            carry: tuple[jax.Array, optax.OptState], key: jax.Array
-        ) -> tuple[tuple[jax.Array, optax.OptState], None]:
-            weights, optimizer = carry
-            gradients = jax.grad(loss)(weights, *sample_steps(key, lengths, settings.batch_size))
-            updates, optimizer = self._adam.update(gradients, optimizer, weights)
-            return (optax.apply_updates(weights, updates), optimizer), None
+            return errors.sum(axis=-1).mean(), None
 
         keys = jax.random.split(key, settings.gradient_steps)
-        descended, _ = jax.lax.scan(adam_step, (weights, optimizer), keys)
-        return finite_or(descended, (weights, optimizer))
+        weights, optimizer, _ = descend(self._adam, loss, weights, optimizer, keys)
+        return weights, optimizer
 
     def _loss(self, weights: jax.Array, mask: jax.Array) -> jax.Array:
-        """``()`` mean of ‖M z − a‖² over the steps where ``mask (E, T)`` is true."""
+        """Return the mean of ‖M z − a‖² over the steps where ``mask (E, T)`` is true."""
         errors = jnp.square(self.reference.observations @ weights.T - self.reference.actions)
         return jnp.sum(errors, where=mask[..., None]) / jnp.maximum(mask.sum(), 1)
 
 
 def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Array:
-    """``(E,)`` how many of each episode's first steps are trained on.
+    """Return how many first steps ``(E,)`` of each episode are trained on.
 
-    All or, of the last episodes, none: steps of the same episode are too alike to tell whether one
-    has learned more than these. Of a single episode its first part. Episodes of no steps, which
-    come last, do not count.
+    The last episodes are held out as a whole, because steps of the same episode are too alike to
+    detect overfitting. A single episode is cut in two. Episodes without steps come last and do not
+    count.
     """
     num_episodes = jnp.sum(lengths > 0)
     held_out = jnp.clip(jnp.round(num_episodes * validation_fraction), 1, num_episodes - 1)
     first_part = jnp.ceil(lengths * (1.0 - validation_fraction)).astype(jnp.int32)
-    first_part = jnp.minimum(first_part, lengths - 1)  # something is held out of a short one, too
+    first_part = jnp.minimum(first_part, lengths - 1)  # hold out something of a short one, too
     return jnp.where(
         num_episodes == 1,
         jnp.where(lengths > 0, jnp.maximum(first_part, 1), 0),
@@ -172,14 +170,23 @@ def training_lengths(lengths: jax.Array, validation_fraction: float) -> jax.Arra
 
 
 def make_behavior_cloning(
-    env: Env, demonstrations: Demonstrations, settings: BehaviorCloningSettings
+    env: Env | Simulator, demonstrations: Demonstrations, settings: BehaviorCloningSettings
 ) -> BehaviorCloning:
     """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`.
 
     Raises:
-        UserError: a setting makes no sense, or they hold no actions.
+        UserError: a setting makes no sense, or the demonstrations hold no actions.
     """
     validate(settings)
     expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
     expert.require_actions("behaviour cloning")
-    return BehaviorCloning(env, settings, expert)
+    return BehaviorCloning(as_simulator(env), settings, expert)
+
+
+BEHAVIOR_CLONING = Algorithm(
+    "BC",
+    make_behavior_cloning,
+    BehaviorCloningSettings,
+    presets.DEFAULTS,
+    kept_by="validation_loss",
+)

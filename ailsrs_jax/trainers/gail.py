@@ -1,7 +1,7 @@
 """Generative adversarial imitation learning (Ho and Ermon, NeurIPS 2016), with TRPO."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +9,12 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer, trust_region
-from ailsrs_jax.components.finite import finite_or
+from ailsrs_jax.components.discriminator import LOSSES
 from ailsrs_jax.components.policy import KeptPolicy, keep, perceptron
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
@@ -29,13 +30,17 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     with_evaluation,
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
+from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
 from ailsrs_jax.trainers.parts.settings import Positive, validate
-from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 CLONING_BATCH_SIZE = 128
 CLONING_LEARNING_RATE = 3e-4
+
+Metrics = dict[str, jax.Array]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +48,7 @@ class GailSettings(TrustRegionSettings, AdversarySettings):
     """Settings of :class:`Gail`; the defaults are those of OpenAI Baselines."""
 
     policy_steps: int = 3  #: of the policy for each of the discriminator
-    discriminator_loss: Literal["least_squares", "cross_entropy"] = "cross_entropy"
+    discriminator_loss: Annotated[str, LOSSES] = "cross_entropy"
     discriminator_learning_rate: Positive = 3e-4
     discriminator_steps: int = 1
     discriminator_batch_size: int = 1024
@@ -53,32 +58,40 @@ class GailSettings(TrustRegionSettings, AdversarySettings):
     standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 
+    @property
+    def policy_updates(self) -> int:
+        """Batches of steps that an iteration collects."""
+        return self.updates_per_iteration * self.policy_steps
+
 
 class TrainState(struct.PyTreeNode):
-    """What one iteration hands to the next."""
+    """The state that one iteration hands to the next."""
 
     actor_critic: ActorCritic
-    episodes: RunningEnvs
+    running: RunningEnvs
     adversary: AdversaryState
     kept: KeptPolicy  # closest to the expert so far, by energy distance
     key: jax.Array
     iteration: jax.Array  # () int32
 
 
+Turn = tuple[ActorCritic, RunningEnvs, AdversaryState]
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Gail(Trainer):
-    """Imitates ``expert`` in ``env``, whose reward is measured but never used.
+    """Imitates ``reference`` in an environment; its reward is measured but never used.
 
-    Policy and value function are neural; the discriminator is that of
+    Policy and value function are neural. The discriminator is that of
     :class:`~ailsrs_jax.trainers.ailsrs.Ailsrs`.
     """
 
-    env: Env
+    simulator: Simulator
     settings: GailSettings
     reference: Reference
 
     def init(self, key: jax.Array) -> TrainState:
-        """A policy that does next to nothing but noise; or one cloned from the expert."""
+        """Start with a policy that acts almost at random, or with a clone of the expert."""
         settings = self.settings
         key, network_key, reset_key, adversary_key, cloning_key = jax.random.split(key, 5)
         statistics = normalizer.init(self.env.observation_size)
@@ -90,121 +103,116 @@ class Gail(Trainer):
             actor_critic = actor_critic.replace(actor=actor)
         return TrainState(
             actor_critic=actor_critic,
-            episodes=segments.begin(self.env, reset_key, settings.num_envs),
-            adversary=self._adversary.init(adversary_key),
+            running=segments.begin(self.env, reset_key, settings.num_envs),
+            adversary=self.adversary.init(adversary_key),
             kept=keep(gaussian_policy(self.env, actor_critic)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
         )
 
-    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-        """Evaluate the policy, then improve policy and discriminator a few times in turns."""
+    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
+        """Evaluate the policy, then improve policy and discriminator in turns."""
         settings = self.settings
         keys = jax.random.split(state.key, 4)
         key, evaluation_key, updates_key, distance_key = keys
         policy = gaussian_policy(self.env, state.actor_critic)
-        evaluation, evaluated = evaluate(self.env, policy, evaluation_key, settings)
-        evaluated["expert_distance"] = self.reference.distance(
-            distance_key, evaluation, settings.episode_length
-        )
-        (actor_critic, episodes, adversary), metrics = jax.lax.scan(
+        evaluation, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
+        distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
+        (actor_critic, running, adversary), metrics = jax.lax.scan(
             self._take_turns,
-            (state.actor_critic, state.episodes, state.adversary),
+            (state.actor_critic, state.running, state.adversary),
             jax.random.split(updates_key, settings.updates_per_iteration),
         )
         state = TrainState(
             actor_critic=actor_critic,
-            episodes=episodes,
+            running=running,
             adversary=adversary,
-            kept=state.kept.offer(policy, -evaluated["expert_distance"], state.iteration),
+            kept=state.kept.offer(policy, -distance, state.iteration),
             key=key,
             iteration=state.iteration + 1,
         )
+        evaluated["expert_distance"] = distance
         return state, with_evaluation(over_updates(metrics), evaluated)
 
     @property
-    def _adversary(self) -> Adversary:
+    def adversary(self) -> Adversary:
+        """The discriminator's functions; its parameters are part of the state."""
         return Adversary(self.settings, self.reference)
 
-    def _take_turns(
-        self, carry: tuple[ActorCritic, RunningEnvs, AdversaryState], key: jax.Array
-    ) -> tuple[tuple[ActorCritic, RunningEnvs, AdversaryState], dict[str, jax.Array]]:
-        """Some steps of the policy, then the discriminator's on the last of their batches."""
-        actor_critic, episodes, adversary = carry
+    def _take_turns(self, carry: Turn, key: jax.Array) -> tuple[Turn, Metrics]:
+        """Take some steps of the policy, then the discriminator's on the last of their batches."""
+        actor_critic, running, adversary = carry
         policy_key, adversary_key = jax.random.split(key)
+
+        def rewards(steps: Steps) -> jax.Array:
+            return self.adversary.rewards(adversary, self._inputs(steps))
 
         def improve_policy(
             carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
-        ) -> tuple[tuple[ActorCritic, RunningEnvs], tuple[dict[str, jax.Array], jax.Array]]:
-            actor_critic, episodes, steps, metrics = collect_and_improve(
+        ) -> tuple[tuple[ActorCritic, RunningEnvs], tuple[Metrics, jax.Array]]:
+            actor_critic, running, steps, metrics = collect_and_improve(
                 self.env, *carry, rewards, key, self.settings
             )
             if self.settings.standardize_with == "running":
                 actor_critic = merge_states(actor_critic, steps)
             metrics = metrics | {"imitation_reward": rewards(steps).mean()}
-            return (actor_critic, episodes), (metrics, self._inputs(steps))
+            return (actor_critic, running), (metrics, self._inputs(steps))
 
-        def rewards(steps: Steps) -> jax.Array:
-            return self._adversary.rewards(adversary, self._inputs(steps))
-
-        (actor_critic, episodes), (metrics, inputs) = jax.lax.scan(
+        (actor_critic, running), (metrics, inputs) = jax.lax.scan(
             improve_policy,
-            (actor_critic, episodes),
+            (actor_critic, running),
             jax.random.split(policy_key, self.settings.policy_steps),
         )
         latest = inputs[-1].reshape(-1, inputs.shape[-1])
-
-        def sample(key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
-            return jax.random.choice(key, latest, (size,)), jnp.ones(size, bool)
-
-        adversary, adversary_metrics = self._adversary.train(adversary, adversary_key, sample)
-        metrics = over_updates(metrics) | adversary_metrics
-        return (actor_critic, episodes, adversary), metrics
+        adversary, scores = self.adversary.train(
+            adversary, adversary_key, lambda key, size: jax.random.choice(key, latest, (size,))
+        )
+        return (actor_critic, running, adversary), over_updates(metrics) | scores
 
     def _inputs(self, steps: Steps) -> jax.Array:
-        """``(T, S, d)`` discriminator inputs."""
-        return self._adversary.inputs(steps.observations, steps.actions, steps.next_observations)
+        """Return discriminator inputs ``(T, S, d)``."""
+        return self.adversary.inputs(steps.observations, steps.actions, steps.next_observations)
 
 
 def clone(
     actor: ActorParameters, expert: Reference, key: jax.Array, settings: GailSettings
 ) -> ActorParameters:
-    """Behaviour cloning: make the expert's actions the likeliest.
+    """Clone the expert: make its actions the most likely ones.
 
-    Of the likelihood, not the squared error, because that leaves the standard deviation at what
-    the mean misses by; at one, the noise would throw away what was cloned.
+    Maximising the likelihood, not only minimising the squared error, also fits the standard
+    deviation to the error of the mean. With a standard deviation of one, noise would hide the
+    clone.
     """
     adam = optax.adam(CLONING_LEARNING_RATE)
 
-    def loss(actor: ActorParameters, key: jax.Array) -> jax.Array:
+    def loss(actor: ActorParameters, key: jax.Array) -> tuple[jax.Array, None]:
         episode, time = sample_steps(key, expert.lengths, CLONING_BATCH_SIZE)
         means = perceptron(*actor.layers, expert.observations[episode, time])
         actions = expert.actions[episode, time]
-        return -trust_region.gaussian_log_density(actions, means, actor.log_std).mean()
-
-    def adam_step(
-        carry: tuple[ActorParameters, optax.OptState], key: jax.Array
-    ) -> tuple[tuple[ActorParameters, optax.OptState], None]:
-        actor, optimizer = carry
-        updates, optimizer = adam.update(jax.grad(loss)(actor, key), optimizer, actor)
-        return (optax.apply_updates(actor, updates), optimizer), None
+        return -trust_region.gaussian_log_density(actions, means, actor.log_std).mean(), None
 
     keys = jax.random.split(key, settings.behavior_cloning_steps)
-    (cloned, _), _ = jax.lax.scan(adam_step, (actor, adam.init(actor)), keys)
-    return finite_or(cloned, actor)
+    cloned: ActorParameters
+    cloned, *_ = descend(adam, loss, actor, adam.init(actor), keys)
+    return cloned
 
 
-def make_gail(env: Env, demonstrations: Demonstrations, settings: GailSettings) -> Gail:
+def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: GailSettings) -> Gail:
     """Prepare the demonstrations for training in ``env``; see :class:`Gail`.
 
     Raises:
-        UserError: a setting makes no sense, the batch cannot be shared evenly by the environments,
-            or the demonstrations do not hold what the settings need.
+        UserError: a setting makes no sense, the environments cannot share a batch evenly, or the
+            demonstrations do not hold what the settings need.
     """
     validate(settings)
-    require_batches(settings, settings.policy_steps)
-    expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
-    Adversary(settings, expert)  # checks that the demonstrations hold what it sees
+    require_batches(settings)
+    reference = make_reference(
+        demonstrations, settings.episode_length, settings.num_distance_samples
+    )
+    Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
-        expert.require_actions("behavior_cloning_start")
-    return Gail(env, settings, expert)
+        reference.require_actions("behavior_cloning_start")
+    return Gail(as_simulator(env), settings, reference)
+
+
+GAIL = Algorithm("GAIL", make_gail, GailSettings, presets.GAIL)

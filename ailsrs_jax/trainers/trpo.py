@@ -9,6 +9,7 @@ from flax import struct
 from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.envs import Env
+from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
@@ -22,9 +23,10 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     require_batches,
     with_evaluation,
 )
+from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs
 from ailsrs_jax.trainers.parts.settings import validate
-from ailsrs_jax.trainers.parts.trainer import Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,10 +35,10 @@ class TrpoSettings(TrustRegionSettings):
 
 
 class TrainState(struct.PyTreeNode):
-    """What one iteration hands to the next."""
+    """The state that one iteration hands to the next."""
 
     actor_critic: ActorCritic
-    episodes: RunningEnvs
+    running: RunningEnvs
     kept: KeptPolicy  # best by the return of its evaluation episodes
     key: jax.Array
     iteration: jax.Array  # () int32
@@ -44,19 +46,19 @@ class TrainState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trpo(Trainer):
-    """Trains on the reward of ``env``."""
+    """Trains a neural policy on the environment's reward."""
 
-    env: Env
+    simulator: Simulator
     settings: TrpoSettings
 
     def init(self, key: jax.Array) -> TrainState:
-        """A policy that does next to nothing but noise."""
+        """Start with a policy that acts almost at random."""
         key, network_key, reset_key = jax.random.split(key, 3)
         statistics = normalizer.init(self.env.observation_size)
         actor_critic = make_actor_critic(network_key, self.env, statistics, self.settings)
         return TrainState(
             actor_critic=actor_critic,
-            episodes=segments.begin(self.env, reset_key, self.settings.num_envs),
+            running=segments.begin(self.env, reset_key, self.settings.num_envs),
             kept=keep(gaussian_policy(self.env, actor_critic)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
@@ -67,24 +69,24 @@ class Trpo(Trainer):
         settings = self.settings
         key, evaluation_key, updates_key = jax.random.split(state.key, 3)
         policy = gaussian_policy(self.env, state.actor_critic)
-        _, evaluated = evaluate(self.env, policy, evaluation_key, settings)
+        _, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
 
-        def once(
+        def improve_policy(
             carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
         ) -> tuple[tuple[ActorCritic, RunningEnvs], dict[str, jax.Array]]:
-            actor_critic, episodes, steps, metrics = collect_and_improve(
+            actor_critic, running, steps, metrics = collect_and_improve(
                 self.env, *carry, lambda steps: steps.env_rewards, key, settings
             )
-            return (merge_states(actor_critic, steps), episodes), metrics
+            return (merge_states(actor_critic, steps), running), metrics
 
-        (actor_critic, episodes), metrics = jax.lax.scan(
-            once,
-            (state.actor_critic, state.episodes),
+        (actor_critic, running), metrics = jax.lax.scan(
+            improve_policy,
+            (state.actor_critic, state.running),
             jax.random.split(updates_key, settings.updates_per_iteration),
         )
         state = TrainState(
             actor_critic=actor_critic,
-            episodes=episodes,
+            running=running,
             kept=state.kept.offer(policy, evaluated["evaluation_return"], state.iteration),
             key=key,
             iteration=state.iteration + 1,
@@ -92,13 +94,22 @@ class Trpo(Trainer):
         return state, with_evaluation(over_updates(metrics), evaluated)
 
 
-def make_trpo(env: Env, settings: TrpoSettings) -> Trpo:
-    """See :class:`Trpo`.
+def make_trpo(env: Env | Simulator, settings: TrpoSettings) -> Trpo:
+    """Check the settings; see :class:`Trpo`.
 
     Raises:
-        UserError: a setting makes no sense, or the batch cannot be shared evenly by the
-            environments.
+        UserError: a setting makes no sense, or the environments cannot share a batch evenly.
     """
     validate(settings)
     require_batches(settings)
-    return Trpo(env, settings)
+    return Trpo(as_simulator(env), settings)
+
+
+TRPO = Algorithm(
+    title="TRPO",
+    make=lambda simulator, _, settings: make_trpo(simulator, settings),
+    settings=TrpoSettings,
+    presets=presets.DEFAULTS,
+    imitates=False,
+    kept_by="evaluation_return",
+)

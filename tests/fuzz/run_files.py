@@ -16,7 +16,7 @@ from tests.fuzz.mutations import Rng, make_csv, mutate_bytes, mutated_json
 def config() -> Any:
     from ailsrs_jax.data.sources import Source
     from ailsrs_jax.runs.storage.config import RunConfig
-    from ailsrs_jax.trainers.presets import preset_settings
+    from ailsrs_jax.trainers.algorithms import preset_settings
 
     return RunConfig(
         env_id="Swimmer-v5",

@@ -3,12 +3,11 @@ import subprocess
 import sys
 
 import jax
-import pytest
 from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import make_env
-from ailsrs_jax.runs import devices
+from ailsrs_jax.runs.devices import CPU_BATCH_SIZE, choose_simulator
 from tests.point_mass import PointMass
 
 REPORT = """
@@ -43,25 +42,25 @@ def test_what_the_user_has_chosen_stays() -> None:
     assert count == "5"
 
 
-@pytest.mark.parametrize(("num_directions", "expected"), [(320, 4), (6, 3), (7, 1), (1, 1)])
-def test_as_many_devices_as_share_the_directions(num_directions: int, expected: int) -> None:
+def test_all_devices_share_the_episodes() -> None:
     assert jax.local_device_count() == 4  # as tests/conftest.py says
-    assert devices.choose_devices(PointMass(), num_directions).count == expected
-    assert devices.choose_devices(make_env("hopper", "mjx"), num_directions).count == expected
+    assert choose_simulator(PointMass()).num_devices == 4
+    assert choose_simulator(make_env("hopper", "mjx")).num_devices == 4
 
 
 def test_the_c_engine_has_all_cores_on_one_device() -> None:
     for env in (make_env("hopper", "mujoco"), EpisodeWrapper(make_env("hopper", "mujoco"), 5, 1)):
-        assert devices.choose_devices(env, 320).count == 1
-        assert devices.choose_batch_size(env) is None
+        simulator = choose_simulator(env)
+        assert (simulator.num_devices, simulator.batch_size) == (1, None)
 
 
 def test_slots_are_refilled_where_that_saves_something() -> None:
     sizes = {
-        (name, physics): devices.choose_batch_size(make_env(name, physics))
+        (name, physics): choose_simulator(make_env(name, physics)).batch_size
         for name in ("hopper", "halfcheetah")
         for physics in ("mjx", "mujoco")
     }
-    assert sizes.pop(("hopper", "mjx")) == devices.CPU_BATCH_SIZE
+    assert sizes.pop(("hopper", "mjx")) == CPU_BATCH_SIZE
     assert set(sizes.values()) == {None}
-    assert devices.choose_batch_size(PointMass()) == devices.CPU_BATCH_SIZE  # it might end early
+    assert choose_simulator(PointMass()).batch_size == CPU_BATCH_SIZE  # it might end early
+    assert choose_simulator(PointMass(), 3).batch_size == 3

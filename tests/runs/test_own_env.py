@@ -10,7 +10,7 @@ from brax import envs
 from brax.envs.wrappers.training import EpisodeWrapper
 
 import ailsrs_jax as ail
-from ailsrs_jax.trainers.presets import preset_settings
+from ailsrs_jax.trainers.algorithms import preset_settings
 from tests.point_mass import EXPERT_WEIGHTS, PointMass
 
 SEARCH = {"num_iterations": 2, "num_directions": 2, "num_top_directions": 1, "episode_length": 10}

@@ -15,7 +15,7 @@ from ailsrs_jax.runs.loop import execute
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
-from ailsrs_jax.trainers.parts.devices import ONE_DEVICE
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.exploding import ExplodingPointMass
 from tests.point_mass import PointMass
 from tests.runs import toy_run
@@ -42,7 +42,8 @@ CHANGES: dict[str, list[dict[str, Any]]] = {
 
 
 def one_device(*arguments: Any, **fields: Any) -> Plan:
-    return dataclasses.replace(plan(RunSpec(*arguments, **fields)), devices=ONE_DEVICE)
+    planned = plan(RunSpec(*arguments, **fields))
+    return dataclasses.replace(planned, simulator=Simulator(planned.simulator.env))
 
 
 def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[Plan]:

@@ -21,7 +21,7 @@ from ailsrs_jax.show import renderer as offscreen
 from ailsrs_jax.show.page import Media, Page, Tile
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import data_uri, encode
-from ailsrs_jax.trainers.presets import preset_settings
+from ailsrs_jax.trainers.algorithms import preset_settings
 from tests.cli.test_cli import ailsrs
 from tests.point_mass import EXPERT_WEIGHTS
 from tests.sweeps.synthetic_sweep import row, write_sweep

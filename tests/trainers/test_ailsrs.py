@@ -11,13 +11,9 @@ from ailsrs_jax.components.discriminator import Discriminator
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.ailsrs import (
-    Ailsrs,
-    AilsrsSettings,
-    make_ailsrs,
-)
+from ailsrs_jax.trainers.ailsrs import Ailsrs, AilsrsSettings, make_ailsrs
+from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.reference import distance_features
-from ailsrs_jax.trainers.parts.rollout import Episodes
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
 SMALL = AilsrsSettings(
@@ -132,7 +128,7 @@ def test_reward_of_a_rollout_in_closed_form(
         diverged=jnp.zeros(5, bool),
         slot_steps=lengths.sum(),
     )
-    returns = trainer._imitation_returns(adversary, episodes)
+    returns = trainer.judge(adversary, episodes)
     logit = functools.partial(Discriminator().apply, adversary.parameters)
     mean, std = trainer.reference.statistics.mean, trainer.reference.statistics.std
     for index, length in enumerate(lengths):
@@ -161,8 +157,16 @@ def test_the_discriminator_learns_to_tell_them_apart(trainer: Ailsrs) -> None:
 def test_step_size_decays_linearly(trainer: Ailsrs) -> None:
     settings = dataclasses.replace(SMALL, num_iterations=11, step_size=0.3, final_step_size=0.1)
     trainer = dataclasses.replace(trainer, settings=settings)
-    sizes = [float(trainer._step_size(jnp.array(i))) for i in (0, 5, 10, 30)]
-    np.testing.assert_allclose(sizes, [0.3, 0.2, 0.1, 0.1], rtol=1e-6)
+    state = trainer.init(jax.random.key(0))
+    deltas = jnp.ones((4, *state.weights.shape))
+    returns = jnp.array([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 0.0, 0.0]])
+
+    def moved(iteration: int) -> float:
+        after = trainer.tell(state.replace(iteration=jnp.array(iteration)), deltas, returns)
+        return float((after - state.weights)[0, 0])
+
+    sizes = np.array([moved(iteration) for iteration in (0, 5, 10, 30)])
+    np.testing.assert_allclose(sizes / sizes[0], [1, 2 / 3, 1 / 3, 1 / 3], rtol=1e-5)
 
 
 def test_distance_sees_the_length_of_episodes() -> None:

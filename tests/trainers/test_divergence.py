@@ -15,12 +15,12 @@ import ailsrs_jax as ail
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.trainers.ailsrs import AilsrsSettings, make_ailsrs
-from ailsrs_jax.trainers.ars import Ars, ArsSettings
+from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings, make_behavior_cloning
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
 from ailsrs_jax.trainers.parts import segments
-from ailsrs_jax.trainers.parts.devices import AXIS, Devices
-from ailsrs_jax.trainers.parts.rollout import Episodes, simulate
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator, simulate
 from ailsrs_jax.trainers.trpo import TrpoSettings, make_trpo
 from tests.exploding import FINITE_STEPS, ExplodingPointMass, StiffSlider
 from tests.point_mass import EPISODE_LENGTH, PointMass, expert_policy
@@ -109,7 +109,7 @@ def learners(demonstrations: Demonstrations) -> dict[str, Any]:
     cloning = BehaviorCloningSettings(num_iterations=4, num_evaluation_episodes=20)
     return {
         "ailsrs": lambda env: make_ailsrs(env, demonstrations, ailsrs),
-        "ars": lambda env: Ars(env, ars),
+        "ars": lambda env: make_ars(env, ars),
         "gail": lambda env: make_gail(env, demonstrations, gail),
         "trpo": lambda env: make_trpo(env, trpo),
         "bc": lambda env: make_behavior_cloning(env, demonstrations, cloning),
@@ -161,10 +161,11 @@ def test_training_goes_on(name: str, point_mass_expert: Demonstrations) -> None:
 
 def test_counts_do_not_depend_on_the_number_of_devices() -> None:
     settings = ArsSettings(**SEARCH | {"num_directions": 48}, episode_length=EPISODE_LENGTH)
-    many = Devices(Mesh(np.array(jax.devices()[:4]), (AXIS,)))
     results = [
-        jax.jit(Ars(ExplodingPointMass(), settings, where).train)(jax.random.key(0))[1]
-        for where in (Devices(), many)
+        jax.jit(make_ars(Simulator(ExplodingPointMass(), mesh), settings).train)(jax.random.key(0))[
+            1
+        ]
+        for mesh in (None, Mesh(np.array(jax.devices()[:4]), (AXIS,)))
     ]
     for name in ("env_steps", "episodes", "diverged"):
         np.testing.assert_array_equal(results[0][name], results[1][name])
@@ -213,7 +214,7 @@ def test_a_run_on_a_model_that_explodes(tmp_path: Path) -> None:
 
 def test_a_search_on_a_model_that_explodes_in_mjx(tmp_path: Path) -> None:
     settings = ArsSettings(**SEARCH, episode_length=20)
-    trainer = Ars(StiffSlider("mjx", tmp_path), settings)
+    trainer = make_ars(StiffSlider("mjx", tmp_path), settings)
     state, metrics = jax.jit(trainer.train)(jax.random.key(0))
     require_finite(state)
     share = metrics["diverged"] / metrics["episodes"]

@@ -26,12 +26,12 @@ from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.benchmark import peers
-from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
-from ailsrs_jax.trainers.parts.devices import EVERYWHERE, Devices, shared
+from ailsrs_jax.trainers.algorithms import preset_settings
+from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.exploration import explore
-from ailsrs_jax.trainers.parts.rollout import Episodes
-from ailsrs_jax.trainers.presets import preset_settings
+from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,14 +107,14 @@ def measure(
         episode_length=episode_length,
         behavior_cloning_start=False,
     )
-    devices = choose_devices(env, num_directions)
-    trainer = make_ailsrs(env, _demonstrations(env), settings, devices, choose_batch_size(env))
+    simulator = choose_simulator(env)
+    trainer = make_ailsrs(simulator, _demonstrations(env), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
     noise_key, reset_key = jax.random.split(jax.random.key(1))
     rollout, rollout_compile_s = _compile(_rollout(trainer, state, noise_key, reset_key))
     update, update_compile_s = _compile(trainer.update, state)
     episodes = rollout()
-    bare, bare_compile_s = _bare(env, devices, np.asarray(episodes.actions), reset_key)
+    bare, bare_compile_s = _bare(simulator, np.asarray(episodes.actions), reset_key)
 
     compile_s = {"bare": bare_compile_s, "rollout": rollout_compile_s, "train": update_compile_s}
     live_steps = {
@@ -205,52 +205,43 @@ def _demonstrations(env: MujocoTask) -> Demonstrations:
 def _rollout(
     trainer: Ailsrs, state: TrainState, noise_key: jax.Array, reset_key: jax.Array
 ) -> Callable[[], Episodes]:
-    """The perturbed policies' episodes, with the slots' steps of all devices."""
-    settings, devices = trainer.settings, trainer.devices
+    """The perturbed policies' episodes."""
+    settings = dataclasses.replace(trainer.settings, num_evaluation_episodes=0)
 
-    def on_one_device() -> Episodes:
+    def rollout() -> Episodes:
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        episodes = explore(
-            trainer.env,
-            trainer.policy(state.weights, state.statistics),
-            deltas,
-            reset_key,
-            noise_std=settings.noise_std,
-            num_evaluation_episodes=0,
-            episode_length=settings.episode_length,
-            devices=devices,
-            batch_size=trainer.rollout_batch_size,
-        )
-        return episodes.replace(slot_steps=devices.sum(episodes.slot_steps))
+        policy = trainer.policy(state.weights, state.statistics)
+        return explore(trainer.simulator, policy, deltas, reset_key, settings).episodes
 
-    specs = Episodes(shared(0), shared(0), shared(0), shared(0), shared(0), slot_steps=EVERYWHERE)
-    split: Callable[[], Episodes] = devices.split(on_one_device, specs)
-    return split
+    return rollout
 
 
 def _bare(
-    env: MujocoTask, devices: Devices, actions: np.ndarray, reset_key: jax.Array
+    simulator: Simulator, actions: np.ndarray, reset_key: jax.Array
 ) -> tuple[Callable[[], Any], float]:
     """Physics alone, under the given ``actions (B, T, p)``, and how long it took to compile."""
+    env = simulator.env
     _, exploration_key = jax.random.split(reset_key)
-    keys = jax.random.split(exploration_key, (2, len(actions) // 2))
-    # In the order of the episodes: those of each device's directions, then of their opposites.
-    keys = keys.reshape(2, devices.count, -1).swapaxes(0, 1).ravel()
+    keys = jax.random.split(exploration_key, (2, len(actions) // 2)).ravel()
     initial = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
     if env.physics.name == "mujoco":
         return _bare_mujoco(env, initial, actions), 0.0
 
-    def on_one_device(state: PhysicsState, actions: jax.Array) -> jax.Array:
+    def share(state: PhysicsState, actions: jax.Array) -> jax.Array:
         step, live = jax.vmap(env.physics.step, (0, 0, None)), jax.numpy.array(True)
         state, _ = jax.lax.scan(
             lambda s, a: (step(s, a, live), None), state, actions.swapaxes(0, 1)
         )
         return state.qpos
 
-    specs = shared(0), shared(0), shared(0)
-    replay, compile_s = _compile(devices.split(on_one_device, *specs), initial, actions)
+    if simulator.mesh is not None:
+        spec = jax.sharding.PartitionSpec(AXIS)
+        share = jax.shard_map(
+            share, mesh=simulator.mesh, in_specs=spec, out_specs=spec, check_vma=False
+        )
+    replay, compile_s = _compile(share, initial, actions)
     return lambda: replay(initial, actions), compile_s
 
 

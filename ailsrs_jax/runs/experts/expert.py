@@ -13,16 +13,16 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable
-from ailsrs_jax.runs.devices import choose_batch_size, choose_devices, set_up_jax
+from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.runs.experts.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.experts.ppo import PPO_PRESETS, PpoSettings, train_ppo
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.policies import saved_policy
+from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.parts.settings import override, parse
-from ailsrs_jax.trainers.presets import preset_settings
 
 ALGORITHMS = ("ppo", "es", "ars")
 
@@ -128,8 +128,7 @@ def search_expert(
 
 
 def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., None]) -> None:
-    devices = choose_devices(env, settings.num_directions)
-    trainer = make_ars(env, settings, devices, choose_batch_size(env))
+    trainer = make_ars(choose_simulator(env), settings)
     seeds, env_steps = np.array([seed], np.int32), np.zeros(1, np.int64)
     start = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))(seeds)
     for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):

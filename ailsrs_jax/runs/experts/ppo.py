@@ -19,7 +19,7 @@ from ailsrs_jax.envs.divergence import EndDiverged
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.experts.unit_actions import UnitActions, unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport
-from ailsrs_jax.trainers.parts.rollout import episode_counts, simulate
+from ailsrs_jax.trainers.parts.rollout import simulate
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
 
 
@@ -112,7 +112,7 @@ def train_ppo(
         metrics = {
             "evaluation_return": mean,
             "evaluation_length": float(episodes.lengths.mean()),
-            **jax.device_get(episode_counts(episodes)),
+            **jax.device_get(episodes.counts()),
             "env_steps": num_steps,
         }
         seconds = time.perf_counter() - started

@@ -94,7 +94,7 @@ def require_current(saved: Mapping[str, Any], where: Path) -> None:
     """Raise UserError if version 0.1 wrote ``saved``, which described its source in prose."""
     if "demonstrations" in saved and "source" not in saved:
         raise UserError(
-            f"{where} was written by an older version: read it with ailsrs_jax 0.1, or make the "
+            f"{where} was written by an older version: use that version to read it, or make the "
             "run again"
         )
 

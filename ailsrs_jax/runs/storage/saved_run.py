@@ -17,8 +17,7 @@ from ailsrs_jax.own_code import is_own
 from ailsrs_jax.runs.storage.config import read_config, require_current, require_seed
 from ailsrs_jax.runs.storage.directory import RESULT_FILE
 from ailsrs_jax.runs.storage.metrics import read_metrics
-from ailsrs_jax.trainers.algorithms import find_algorithm
-from ailsrs_jax.trainers.presets import changed_settings
+from ailsrs_jax.trainers.algorithms import changed_settings, find_algorithm
 
 # The fields of config.json, and their types; see RunConfig.
 FIELDS: dict[str, tuple[type, ...]] = {

@@ -9,13 +9,14 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer, trust_region
-from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import MlpPolicy, perceptron, repeated
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.parts.rollout import Episodes, episode_counts, simulate
+from ailsrs_jax.trainers.parts.descent import descend
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, collect
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
 
@@ -23,7 +24,7 @@ HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
 
 COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
 
-# Every so many samples tell the curvature: it needs far fewer than the gradient does.
+# The curvature needs far fewer samples than the gradient: it takes every fifth.
 FISHER_STRIDE = 5
 
 
@@ -47,13 +48,21 @@ class TrustRegionSettings:
     value_batch_size: int = 128
     num_evaluation_episodes: int = 4
 
+    @property
+    def policy_updates(self) -> int:
+        """Batches of steps that an iteration collects."""
+        return self.updates_per_iteration
 
-def require_batches(settings: TrustRegionSettings, batches_per_update: int = 1) -> None:
-    """Raise UserError unless batches can be shared evenly by the environments, and be counted."""
-    require_countable(
-        settings.updates_per_iteration * batches_per_update * settings.batch_size
-        + 2 * settings.num_evaluation_episodes * settings.episode_length
-    )
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that an iteration simulates at most."""
+        num_episodes = 2 * self.num_evaluation_episodes  # of the mean, and with drawn actions
+        return self.policy_updates * self.batch_size + num_episodes * self.episode_length
+
+
+def require_batches(settings: TrustRegionSettings) -> None:
+    """Raise UserError unless the environments can share a batch evenly, and steps be counted."""
+    require_countable(settings.steps_per_iteration)
     if settings.batch_size % settings.num_envs:
         raise UserError(
             f"setting batch_size is {settings.batch_size}: it must be a multiple of num_envs, "
@@ -65,25 +74,25 @@ Layers = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]  # weights (out, in
 
 
 class ActorParameters(struct.PyTreeNode):
-    """What a step of the policy changes."""
+    """The part of the policy that a step changes."""
 
     layers: Layers
     log_std: jax.Array  # (p,)
 
 
 class ActorCritic(struct.PyTreeNode):
-    """Policy and value function."""
+    """A policy and its value function."""
 
     actor: ActorParameters
     critic: Layers
     critic_optimizer: optax.OptState
-    statistics: RunningStatistics  # what observations are standardised with
+    statistics: RunningStatistics  # observations are standardised with them
 
 
 def make_actor_critic(
     key: jax.Array, env: Env, statistics: RunningStatistics, settings: TrustRegionSettings
 ) -> ActorCritic:
-    """A policy whose mean is almost zero everywhere, with a standard deviation of one."""
+    """Make a policy with a mean near zero everywhere and a standard deviation of one."""
     actor_key, critic_key = jax.random.split(key)
     critic = _layers(critic_key, env.observation_size, 1, final_scale=1.0)
     return ActorCritic(
@@ -98,7 +107,7 @@ def make_actor_critic(
 
 
 def gaussian_policy(env: Env, state: ActorCritic) -> MlpPolicy:
-    """The policy, with statistics frozen as they are."""
+    """Return the policy, with the statistics frozen as they are."""
     weights, biases = state.actor.layers
     low, high = action_range(env)
     return MlpPolicy(
@@ -113,68 +122,71 @@ def gaussian_policy(env: Env, state: ActorCritic) -> MlpPolicy:
 
 
 def evaluate(
-    env: Env, policy: MlpPolicy, key: jax.Array, settings: TrustRegionSettings
+    simulator: Simulator, policy: MlpPolicy, key: jax.Array, settings: TrustRegionSettings
 ) -> tuple[Episodes, dict[str, jax.Array]]:
-    """Some episodes of the Gaussian's mean, and the metrics of them and of as many drawn ones."""
+    """Simulate episodes of the Gaussian's mean and as many with drawn actions.
+
+    Returns:
+        The episodes of the mean, and the metrics of both.
+    """
     num_episodes = settings.num_evaluation_episodes
     noise_key, reset_key = jax.random.split(key)
-    shape = (num_episodes, settings.episode_length, env.action_size)
+    shape = (num_episodes, settings.episode_length, simulator.env.action_size)
     noise = policy.action_std * jax.random.normal(noise_key, shape)
-    episodes = simulate(
-        env,
+    episodes = simulator(
         repeated(policy, 2 * num_episodes),
         jax.random.split(reset_key, 2 * num_episodes),
         settings.episode_length,
         noise=jnp.concatenate([jnp.zeros(shape), noise]),
     )
-    mean, drawn = episodes.episodes(0, num_episodes), episodes.episodes(num_episodes)
+    mean = episodes.first(num_episodes)
     return mean, {
         "evaluation_return": mean.env_returns.mean(),
         "evaluation_length": mean.lengths.mean(),
-        "stochastic_return": drawn.env_returns.mean(),
+        "stochastic_return": episodes.env_rewards[num_episodes:].sum(axis=1).mean(),
         "action_std": policy.action_std.mean(),
-        **episode_counts(episodes),
+        **episodes.counts(),
     }
 
 
 def collect_and_improve(
     env: Env,
     state: ActorCritic,
-    episodes: RunningEnvs,
+    running: RunningEnvs,
     rewards: Callable[[Steps], jax.Array],
     key: jax.Array,
     settings: TrustRegionSettings,
 ) -> tuple[ActorCritic, RunningEnvs, Steps, dict[str, jax.Array]]:
-    """Make a batch of steps with the policy, and :func:`improve` it by its ``rewards``."""
+    """Collect a batch of steps with the policy, and :func:`improve` it by their ``rewards``."""
     collect_key, improve_key = jax.random.split(key)
-    episodes, steps = collect(
+    running, steps = collect(
         env,
         gaussian_policy(env, state),
-        episodes,
+        running,
         collect_key,
         settings.batch_size // settings.num_envs,
         settings.episode_length,
     )
     state, metrics = improve(state, steps, rewards(steps), improve_key, settings)
-    return state, episodes, steps, metrics | steps.episode_counts()
+    return state, running, steps, metrics | steps.counts()
 
 
 def merge_states(state: ActorCritic, steps: Steps) -> ActorCritic:
-    """Merge the states met into the statistics that the next steps are standardised with."""
+    """Merge the observations into the statistics that the next steps are standardised with."""
     return state.replace(
         statistics=normalizer.update(state.statistics, steps.observations, ~steps.copied)
     )
 
 
 def over_updates(metrics: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """Metrics of several updates, stacked, as one: sums of what is counted, means of the rest."""
+    """Combine the stacked metrics of several updates: sums of counts, means of the rest."""
     return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
 
 
 def with_evaluation(
     metrics: dict[str, jax.Array], evaluated: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """The ``metrics`` of an iteration's updates beside those of its evaluation."""
+    """Combine the ``metrics`` of an iteration's updates with those of its evaluation."""
     return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
 
 
@@ -185,7 +197,7 @@ def improve(
     key: jax.Array,
     settings: TrustRegionSettings,
 ) -> tuple[ActorCritic, dict[str, jax.Array]]:
-    """One step of the policy in its trust region, then fit the value function.
+    """Take one step of the policy in its trust region, then fit the value function.
 
     Args:
         state: policy and value function that the ``steps`` were made with.
@@ -263,27 +275,21 @@ def _fit_critic(
     key: jax.Array,
     settings: TrustRegionSettings,
 ) -> tuple[Layers, optax.OptState, jax.Array]:
-    """Minibatches of Adam on the squared error; of each epoch what fills none is left out."""
+    """Run Adam on the squared error, in minibatches; an incomplete one of an epoch is left out."""
     size = min(settings.value_batch_size, len(targets))
 
-    def loss(critic: Layers, indices: jax.Array) -> jax.Array:
-        return jnp.mean(jnp.square(_values(critic, observations[indices]) - targets[indices]))
-
-    def adam_step(
-        carry: tuple[Layers, optax.OptState], indices: jax.Array
-    ) -> tuple[tuple[Layers, optax.OptState], jax.Array]:
-        critic, optimizer = carry
-        value, gradients = jax.value_and_grad(loss)(critic, indices)
-        updates, optimizer = _critic_adam(settings).update(gradients, optimizer, critic)
-        return (optax.apply_updates(critic, updates), optimizer), value
+    def loss(critic: Layers, indices: jax.Array) -> tuple[jax.Array, jax.Array]:
+        error = jnp.mean(jnp.square(_values(critic, observations[indices]) - targets[indices]))
+        return error, error
 
     orders = jax.vmap(lambda key: jax.random.permutation(key, len(targets)))(
         jax.random.split(key, settings.value_epochs)
     )
     batches = orders[:, : len(targets) // size * size].reshape(-1, size)
-    before = state.critic, state.critic_optimizer
-    after, losses = jax.lax.scan(adam_step, before, batches)
-    return *finite_or(after, before), losses.mean()
+    critic, optimizer, losses = descend(
+        _critic_adam(settings), loss, state.critic, state.critic_optimizer, batches
+    )
+    return critic, optimizer, losses.mean()
 
 
 def _values(critic: Layers, observations: jax.Array) -> jax.Array:

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -11,17 +11,15 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import discriminator
-from ailsrs_jax.components.finite import finite_or
+from ailsrs_jax.components.discriminator import LOSSES, REWARDS
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.parts.devices import ONE_DEVICE, Devices
+from ailsrs_jax.own_code import own_function
+from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.settings import Positive, is_used
 
-# Draws ``(batch, d)`` inputs of the policy's steps with a key, and says ``(batch)`` bool which of
-# them are on this device.
-Sampler = Callable[[jax.Array, int], tuple[jax.Array, jax.Array]]
-
+Sampler = Callable[[jax.Array, int], jax.Array]  # draws (batch, d) inputs of the policy's steps
 
 NETWORK = discriminator.Discriminator()
 
@@ -31,17 +29,17 @@ class AdversarySettings:
     """Settings of :class:`Adversary`; the defaults are the paper's (Table I)."""
 
     discriminator_sees: Literal["state_action", "state", "state_next_state"] = "state_action"
-    discriminator_loss: Literal["least_squares", "cross_entropy"] = "least_squares"
+    discriminator_loss: Annotated[str, LOSSES] = "least_squares"
     discriminator_learning_rate: Positive = 2.5e-4
     discriminator_steps: int = 3
     discriminator_batch_size: int = 1000  #: from each side
-    discriminator_entropy_bonus: float = 0.0  #: weight of its judgements' entropy in the loss
+    discriminator_entropy_bonus: float = 0.0  #: weight of the scores' entropy in the loss
     gradient_penalty: float = 0.0  #: weight of the penalty in the loss
-    imitation_reward: Literal["gail", "airl", "amp"] = "gail"  #: read off the score
+    imitation_reward: Annotated[str, REWARDS] = "gail"  #: computed from the score
 
 
 class AdversaryState(struct.PyTreeNode):
-    """What training the discriminator changes."""
+    """The part of the discriminator that training changes."""
 
     parameters: Any  # Flax parameters
     optimizer: optax.OptState
@@ -49,15 +47,14 @@ class AdversaryState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Adversary:
-    """Tells the steps of ``expert`` from a policy's, and rewards the policy for failing it.
+    """Tells the expert's steps from a policy's, and rewards the policy for steps like the expert's.
 
-    Its inputs are observations, in units of the expert's standard deviation, with the action or
-    the next observation beside them, or alone.
+    Its inputs are observations in units of the expert's standard deviation, alone or with the
+    action or the next observation.
     """
 
     settings: AdversarySettings
     reference: Reference
-    devices: Devices = ONE_DEVICE
 
     def __post_init__(self) -> None:
         """Raise UserError unless the demonstrations hold what the discriminator sees."""
@@ -69,6 +66,8 @@ class Adversary:
                 "the demonstrations are subsampled: discriminator_sees=state_next_state needs "
                 "every step, state_action and state do not"
             )
+        _find(LOSSES, self.settings.discriminator_loss)
+        _find(REWARDS, self.settings.imitation_reward)
 
     @property
     def input_size(self) -> int:
@@ -76,22 +75,22 @@ class Adversary:
         return int(self._expert_inputs().shape[-1])
 
     def init(self, key: jax.Array) -> AdversaryState:
-        """An untrained discriminator."""
+        """Return an untrained discriminator."""
         parameters = NETWORK.init(key, jnp.zeros(self.input_size))
         return AdversaryState(parameters, self._adam.init(parameters))
 
     def inputs(
         self, observations: jax.Array, actions: jax.Array, next_observations: jax.Array
     ) -> jax.Array:
-        """``(..., d)`` of steps of a policy; arrays that are not seen can be anything."""
+        """Return inputs ``(..., d)`` for steps of a policy; arrays not seen are ignored."""
         standardize = self.reference.standardize
         return self._join(standardize(observations), actions, standardize(next_observations))
 
     def num_seen(self, lengths: jax.Array) -> jax.Array:
-        """How many steps ``(...)`` of episodes can be judged, the first ones, one if there is any.
+        """Return how many first steps ``(...)`` of episodes can be judged, at least one if any.
 
-        What follows the last step is not recorded. (Of an episode of one step zeros are taken to
-        follow.)
+        The observation after the last step is not recorded. In an episode of one step, zeros stand
+        for it.
         """
         pairs = self.settings.discriminator_sees == "state_next_state"
         return jnp.maximum(lengths - 1, jnp.minimum(lengths, 1)) if pairs else lengths
@@ -99,61 +98,44 @@ class Adversary:
     def train(
         self, state: AdversaryState, key: jax.Array, sample: Sampler
     ) -> tuple[AdversaryState, dict[str, jax.Array]]:
-        """Take ``discriminator_steps`` of Adam; metrics are those of the last."""
-        settings, devices, lengths = (
-            self.settings,
-            self.devices,
-            self.num_seen(self.reference.lengths),
-        )
+        """Take ``discriminator_steps`` of Adam; return also the metrics of the last."""
+        settings, lengths = self.settings, self.num_seen(self.reference.lengths)
         batch_size = settings.discriminator_batch_size
+        loss_of_pairs = _find(LOSSES, settings.discriminator_loss)
         expert_steps = self._expert_inputs()
 
         def loss(parameters: Any, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
-            """This device's part of the mean over pairs: those whose policy step it has."""
             policy_key, expert_key, penalty_key = jax.random.split(key, 3)
-            policy_inputs, here = sample(policy_key, batch_size)
+            policy_inputs = sample(policy_key, batch_size)
             episode, time = sample_steps(expert_key, lengths, batch_size)
             expert_inputs = expert_steps[episode, time]
-
-            def mean(values: jax.Array) -> jax.Array:
-                return jnp.sum(values, where=here) / batch_size
-
             logits = functools.partial(self._logits, parameters)
             policy_logits, expert_logits = logits(policy_inputs), logits(expert_inputs)
-            pairs = discriminator.LOSSES[settings.discriminator_loss](policy_logits, expert_logits)
-            value = mean(pairs)
+            value = loss_of_pairs(policy_logits, expert_logits).mean()
             total = value
             if is_used(settings.gradient_penalty):
-                total += settings.gradient_penalty * mean(
-                    discriminator.gradient_penalty(
-                        logits, policy_inputs, expert_inputs, penalty_key
-                    )
+                penalties = discriminator.gradient_penalty(
+                    logits, policy_inputs, expert_inputs, penalty_key
                 )
+                total += settings.gradient_penalty * penalties.mean()
             if is_used(settings.discriminator_entropy_bonus):
                 entropies = jax.tree.map(discriminator.entropy, (policy_logits, expert_logits))
-                bonus = mean((entropies[0] + entropies[1]) / 2.0)
+                bonus = ((entropies[0] + entropies[1]) / 2.0).mean()
                 total -= settings.discriminator_entropy_bonus * bonus
             return total, {
                 "discriminator_loss": value,
-                "policy_score": mean(jax.nn.sigmoid(policy_logits)),
-                "expert_score": mean(jax.nn.sigmoid(expert_logits)),
+                "policy_score": jax.nn.sigmoid(policy_logits).mean(),
+                "expert_score": jax.nn.sigmoid(expert_logits).mean(),
             }
 
-        def adam_step(state: AdversaryState, key: jax.Array) -> tuple[AdversaryState, Any]:
-            gradients, metrics = devices.sum(jax.grad(loss, has_aux=True)(state.parameters, key))
-            updates, optimizer = self._adam.update(gradients, state.optimizer, state.parameters)
-            return AdversaryState(
-                optax.apply_updates(state.parameters, updates), optimizer
-            ), metrics
-
         keys = jax.random.split(key, settings.discriminator_steps)
-        trained, metrics = jax.lax.scan(adam_step, state, keys)
-        return finite_or(trained, state), jax.tree.map(lambda x: x[-1], metrics)
+        *trained, metrics = descend(self._adam, loss, state.parameters, state.optimizer, keys)
+        return AdversaryState(*trained), jax.tree.map(lambda x: x[-1], metrics)
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:
-        """Rewards ``(...)`` of steps with these ``inputs (..., d)``."""
-        logits = self._logits(state.parameters, inputs)
-        return discriminator.REWARDS[self.settings.imitation_reward](logits)
+        """Return rewards ``(...)`` of steps with these ``inputs (..., d)``."""
+        reward = _find(REWARDS, self.settings.imitation_reward)
+        return reward(self._logits(state.parameters, inputs))
 
     @property
     def _adam(self) -> optax.GradientTransformation:
@@ -163,7 +145,7 @@ class Adversary:
         return cast("jax.Array", NETWORK.apply(parameters, inputs))
 
     def _expert_inputs(self) -> jax.Array:
-        """``(E, T, d)``."""
+        """Return inputs ``(E, T, d)`` for the expert's steps."""
         observations = self.reference.observations
         following = jnp.roll(observations, -1, axis=1)
         return self._join(observations, self.reference.actions, following)
@@ -177,3 +159,8 @@ class Adversary:
             "state_next_state": [next_observations],
         }[self.settings.discriminator_sees]
         return jnp.concatenate([observations, *beside], axis=-1)
+
+
+def _find(known: dict[str, Callable[..., jax.Array]], name: str) -> Callable[..., jax.Array]:
+    """Return the function of that name, or the user's own ``module:attribute``."""
+    return known[name] if name in known else own_function(name)

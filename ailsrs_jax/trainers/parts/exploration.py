@@ -1,70 +1,73 @@
 """The episodes of one iteration of random search."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from ailsrs_jax.components import random_search
 from ailsrs_jax.components.policy import LinearPolicy
-from ailsrs_jax.envs import Env
-from ailsrs_jax.trainers.parts.devices import Devices
-from ailsrs_jax.trainers.parts.rollout import Episodes, episode_counts, simulate
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.rollout import Simulator
+
+
+class Exploration(struct.PyTreeNode):
+    """E episodes of the unperturbed policy, then N of ``M + ν δ_i``, then N of ``M − ν δ_i``.
+
+    They stay in one batch, because a part of it would be a copy.
+    """
+
+    episodes: Episodes
+    num_evaluations: int = struct.field(pytree_node=False)  # E
+
+    @property
+    def evaluation(self) -> Episodes:
+        """The episodes of the unperturbed policy."""
+        return self.episodes.first(self.num_evaluations)
+
+    def pairs(self, values: jax.Array) -> jax.Array:
+        """Return those ``(2, N, ...)`` of ``values (E + 2N, ...)`` for the perturbed policies."""
+        return values[self.num_evaluations :].reshape(2, -1, *values.shape[1:])
+
+    @property
+    def alive(self) -> jax.Array:
+        """``(E + 2N, T)`` bool: a perturbed policy made the step, and it may be learned from."""
+        num_episodes, num_steps, _ = self.episodes.observations.shape
+        is_search = jnp.arange(num_episodes) >= self.num_evaluations
+        lengths = jnp.where(is_search, self.episodes.usable_lengths, 0)
+        return jnp.arange(num_steps) < lengths[:, None]
 
 
 def explore(
-    env: Env,
+    simulator: Simulator,
     policy: LinearPolicy,
     deltas: jax.Array,
     key: jax.Array,
-    *,
-    noise_std: float | jax.Array,
-    num_evaluation_episodes: int,
-    episode_length: int,
-    devices: Devices,
-    batch_size: int | None,
-) -> Episodes:
-    """Roll out the unperturbed policy and, in the same batch, the perturbed ones.
+    settings: Any,
+) -> Exploration:
+    """Simulate the unperturbed policy and, in the same batch, the perturbed ones.
 
     Args:
-        env: the environment.
+        simulator: simulates the episodes.
         policy: the unperturbed policy.
-        deltas: ``(N, p, n)`` unit noise, the same on all devices.
+        deltas: ``(N, p, n)`` unit noise.
         key: of the initial states.
-        noise_std: ν.
-        num_evaluation_episodes: E, episodes of the unperturbed policy.
-        episode_length: T.
-        devices: each perturbs along its own N' of the N directions, and evaluates on its own.
-        batch_size: simulations of a device at a time; by default all.
-
-    Returns:
-        E + 2N' episodes: first the unperturbed policy's, which often live the longest, then those
-        of ``M + ν δ``, then those of ``M − ν δ``. In one piece, because a part would be a copy.
+        settings: of a random search: ``noise_std`` ν, ``episode_length`` T and
+            ``num_evaluation_episodes`` E.
     """
-    perturbed = random_search.perturb(policy.weights, devices.mine(deltas), noise_std)
-    unperturbed = jnp.tile(policy.weights, (num_evaluation_episodes, 1, 1))
-    evaluation_key, exploration_key = jax.random.split(key)
-    evaluation_keys = jax.random.split(evaluation_key, num_evaluation_episodes)
-    exploration_keys = devices.mine(jax.random.split(exploration_key, (2, len(deltas))), axis=1)
-    return simulate(
-        env,
+    num_evaluations = settings.num_evaluation_episodes
+    perturbed = random_search.perturb(policy.weights, deltas, settings.noise_std)
+    unperturbed = jnp.tile(policy.weights, (num_evaluations, 1, 1))
+    evaluation_key, search_key = jax.random.split(key)
+    keys = (
+        jax.random.split(evaluation_key, num_evaluations),
+        jax.random.split(search_key, (2, len(deltas))).ravel(),
+    )
+    episodes = simulator(
+        # The unperturbed policy comes first, because its episodes are often the longest.
         policy.with_weights(jnp.concatenate([unperturbed, perturbed])),
-        jnp.concatenate([evaluation_keys, exploration_keys.ravel()]),
-        episode_length,
-        batch_size,
+        jnp.concatenate(keys),
+        settings.episode_length,
     )
-
-
-def count_episodes(
-    batch: Episodes, num_evaluation_episodes: int, devices: Devices
-) -> dict[str, jax.Array]:
-    """The counts of what :func:`explore` gave, of all devices.
-
-    The evaluation episodes are the same on every device, and count once.
-    """
-    evaluation, exploration = (
-        episode_counts(episodes)
-        for episodes in (
-            batch.episodes(0, num_evaluation_episodes),
-            batch.episodes(num_evaluation_episodes),
-        )
-    )
-    return jax.tree.map(jnp.add, devices.sum(exploration), devices.agree(evaluation))
+    return Exploration(episodes, num_evaluations)

@@ -1,4 +1,4 @@
-"""The expert as imitation learners use it: its steps, and the distance of others' to them."""
+"""Demonstrations as imitation learners use them, and the distance of other episodes to them."""
 
 import jax
 import jax.numpy as jnp
@@ -9,22 +9,22 @@ from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.parts.rollout import Episodes
+from ailsrs_jax.trainers.parts.episodes import Episodes
 
 
 class Reference(struct.PyTreeNode):
-    """Demonstrations, prepared by :func:`make_reference`."""
+    """The expert's steps, prepared by :func:`make_reference`."""
 
     observations: jax.Array  # (E, T, n) in units of the expert's standard deviation
-    actions: jax.Array  # (E, T, p), or (E, T, 0) where they are not known
+    actions: jax.Array  # (E, T, p), or (E, T, 0) if they are not known
     lengths: jax.Array  # (E,) int32
     statistics: RunningStatistics  # of the expert's observations
-    distance_features: jax.Array  # (m, n + p + 1), drawn once; without p where that is not known
+    distance_features: jax.Array  # (m, n + p + 1), drawn once; without p if it is not known
     distance_spread: jax.Array  # () mean distance among them
     stride: int = struct.field(pytree_node=False)  # environment steps between its own
 
     def require_actions(self, what_for: str) -> None:
-        """Raise UserError unless the expert's actions are known, which ``what_for`` needs."""
+        """Raise UserError, which names ``what_for``, unless the expert's actions are known."""
         if self.actions.shape[-1] == 0:
             raise UserError(f"the demonstrations hold no actions, which {what_for} needs")
 
@@ -34,24 +34,19 @@ class Reference(struct.PyTreeNode):
         return jnp.arange(self.observations.shape[1]) < self.lengths[:, None]
 
     def standardize(self, observations: jax.Array) -> jax.Array:
-        """Observations ``(..., n)`` in units of the expert's standard deviation.
+        """Return observations ``(..., n)`` in units of the expert's standard deviation.
 
-        The scale is fixed, so that a reward made of it does not drift while the policy's own
+        The scale is fixed, so a reward that depends on it does not drift while the policy's own
         statistics move.
         """
         return standardize(self.statistics, observations)
 
-    def distance(
-        self,
-        key: jax.Array,
-        episodes: Episodes,
-        episode_length: int,
-    ) -> jax.Array:
-        """Energy distance of ``episodes`` of at most ``episode_length`` steps to the expert's.
+    def distance(self, key: jax.Array, episodes: Episodes, episode_length: int) -> jax.Array:
+        """Return the energy distance of ``episodes`` to the expert's.
 
         Args:
             key: of the draws.
-            episodes: the episodes; what the environment paid is not looked at. One that diverged
+            episodes: the episodes; the environment's reward is not used. An episode that diverged
                 counts as one that ended at once.
             episode_length: their time limit.
         """
@@ -70,7 +65,7 @@ def make_reference(
     """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
 
     Raises:
-        UserError: subsampling left none of so short an episode.
+        UserError: the demonstrations are subsampled, and an episode is too short for one step.
     """
     observations, lengths, alive = map(
         jnp.asarray,
@@ -85,8 +80,8 @@ def make_reference(
     horizon = distance_horizon(points, stride, episode_length)
     if horizon < 1:
         raise UserError(
-            f"of the demonstrations only every {stride}th step is kept: episode_length must be at "
-            f"least that, not {episode_length}"
+            f"only every {stride}th step of the demonstrations is kept: episode_length is "
+            f"{episode_length}, it must be at least {stride}"
         )
     features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
     spread = mean_distance(features, features)
@@ -94,29 +89,28 @@ def make_reference(
 
 
 def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:
-    """Observations ``(..., n)`` in units of the standard deviation."""
+    """Return observations ``(..., n)`` in units of the standard deviation."""
     return (observations - statistics.mean) / statistics.std
 
 
 def distance_horizon(expert_steps: jax.Array, stride: int, episode_length: int) -> int:
-    """How many of the expert's steps are compared, each with ``stride`` steps of the policy.
+    """Return how many of the expert's steps are compared, each with ``stride`` of the policy's.
 
-    Subsampled from a random offset, a step is that of a moment drawn uniformly from ``stride``
-    steps; so, of whole blocks of them, as many moments of an episode are seen alive, and at the
-    same times, as of one that is not subsampled.
+    Subsampling keeps one step, drawn uniformly, of each block of ``stride`` steps. So subsampled
+    episodes are compared at the same times as whole ones, and are alive as often.
     """
-    # Beyond the demonstrations' own time limit nobody knows what the expert would have done.
+    # Nobody knows what the expert would have done after the time limit of the demonstrations.
     return min(episode_length // stride, expert_steps.shape[1])
 
 
 def distance_features(
     key: jax.Array, points: jax.Array, lengths: jax.Array, horizon: int, num_samples: int
 ) -> jax.Array:
-    """Draw ``(m, d + 1)`` for the energy distance from the ``points (E, T, d)`` of episodes.
+    """Draw ``(m, d + 1)`` features for the energy distance from ``points (E, T, d)`` of episodes.
 
-    Moments are drawn from the first ``horizon`` steps. After an episode's end the state is an
-    absorbing one, all zeros but for the last entry, which puts it as far from the others as they
-    are from one another; so episodes of another length than the expert's are seen to be different.
+    Times are drawn from the first ``horizon`` steps. After its end an episode is in an absorbing
+    state, which is zero except for the last entry. That entry puts the state as far from the others
+    as they are from one another, so a wrong length of episodes counts as a difference.
     """
     episode_key, time_key = jax.random.split(key)
     episode = jax.random.randint(episode_key, (num_samples,), 0, lengths.shape[0])

@@ -1,7 +1,6 @@
-"""Steps of a stochastic policy in environments that go on from one batch to the next."""
+"""Steps of a stochastic policy, in environments that run on from one batch to the next."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,35 +9,34 @@ from flax import struct
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
-from ailsrs_jax.trainers.parts.rollout import merge_axes
+from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis
 
 
 class RunningEnvs(struct.PyTreeNode):
-    """S episodes that are under way."""
+    """S environments, each in the middle of an episode."""
 
     env_state: State  # (S, ...)
-    time: jax.Array  # (S,) int32, steps since each began
+    time: jax.Array  # (S,) int32, steps since each episode began
 
 
 class Steps(struct.PyTreeNode):
     """T consecutive steps of S environments.
 
-    Of an episode that diverges nothing is to be learned, as in
-    :class:`Episodes`: in the place of each of its steps there is a copy
-    of one of another episode, which is ``over`` there.
+    No step of an episode that diverges is learned from. A copy of a step of another episode, which
+    is ``over`` there, stands in its place.
     """
 
     observations: jax.Array  # (T, S, n)
-    drawn_actions: jax.Array  # (T, S, p), whose density the policy knows
-    actions: jax.Array  # (T, S, p), what the actuators could do of them
+    drawn_actions: jax.Array  # (T, S, p), before clipping; the policy knows their density
+    actions: jax.Array  # (T, S, p), clipped to the actuators' range
     next_observations: jax.Array  # (T, S, n), of the same episode
     env_rewards: jax.Array  # (T, S)
     terminated: jax.Array  # (T, S) bool, the episode ended in a terminal state
-    over: jax.Array  # (T, S) bool, it did or reached its time limit
+    over: jax.Array  # (T, S) bool, it ended, or reached its time limit
     diverged: jax.Array  # (T, S) bool, the episode diverged there
     copied: jax.Array  # (T, S) bool, the step is a copy of another
 
-    def episode_counts(self) -> dict[str, jax.Array]:
+    def counts(self) -> dict[str, jax.Array]:
         """Metrics: the numbers of steps, of episodes that ended, and of those that diverged."""
         diverged = self.diverged.sum()
         return {
@@ -49,7 +47,7 @@ class Steps(struct.PyTreeNode):
 
 
 def begin(env: Env, key: jax.Array, num_envs: int) -> RunningEnvs:
-    """``num_envs`` new episodes."""
+    """Start ``num_envs`` episodes."""
     env_state = jax.vmap(env.reset)(jax.random.split(key, num_envs))
     return RunningEnvs(env_state, jnp.zeros(num_envs, jnp.int32))
 
@@ -62,9 +60,9 @@ def collect(
     num_steps: int,
     episode_length: int,
 ) -> tuple[RunningEnvs, Steps]:
-    """Go on for ``num_steps`` with actions drawn from the Gaussian ``policy``.
+    """Make ``num_steps`` steps in each environment, with actions drawn from ``policy``.
 
-    An episode that is over, after at most ``episode_length`` steps, is followed by a new one.
+    An episode lasts at most ``episode_length`` steps, and a new one follows.
     """
     num_envs = len(episodes.time)
     shape = (num_envs, *policy.action_std.shape)
@@ -100,13 +98,13 @@ def collect(
 
 
 def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
-    """A function of ``over (S,)``, keys and states that resets the environments that are over.
+    """Return a function of ``over (S,)``, keys and states that resets the environments in question.
 
-    Where none is, nothing is computed. Under ``jax.vmap`` the new axis is merged into the
-    environments, because there the branches of a ``cond`` would both be computed at every step.
+    It computes nothing where no episode is over. Under ``jax.vmap`` the new axis is merged into the
+    environments, because both branches of a ``cond`` would be computed at every step otherwise.
     """
 
-    @jax.custom_batching.custom_vmap
+    @merge_vmapped_axis
     def restart(over: jax.Array, keys: jax.Array, states: State) -> State:
         def reset() -> State:
             return jax.tree.map(
@@ -117,17 +115,11 @@ def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
 
         return jax.lax.cond(over.any(), reset, lambda: states)
 
-    @restart.def_vmap
-    def _of_many(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[State, Any]:
-        merged = restart(*merge_axes(axis_size, in_batched, arguments))
-        states = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), merged)
-        return states, jax.tree.map(lambda _: True, states)
-
     return restart
 
 
 def _replace_diverged(steps: Steps) -> Steps:
-    """Put steps of the other episodes, in turns, in the places of those that diverged."""
+    """Replace the steps of episodes that diverged by copies of the others, in turns."""
 
     def backwards(
         later: jax.Array, step: tuple[jax.Array, jax.Array]
@@ -146,7 +138,7 @@ def _replace_diverged(steps: Steps) -> Steps:
 
     def copy(x: jax.Array) -> jax.Array:
         copied = x.reshape(-1, *x.shape[2:])[source].reshape(x.shape)
-        # Where all have diverged there is nothing to copy.
+        # If all have diverged there is nothing to copy.
         return jnp.where(flat.all(), jnp.zeros_like(x), copied)
 
     return jax.tree.map(copy, steps).replace(

@@ -1,4 +1,4 @@
-"""Many devices give what one gives: episodes bit for bit, what is summed to rounding."""
+"""Many devices give what one gives: episodes bit for bit, and sums up to rounding."""
 
 import dataclasses
 import math
@@ -12,12 +12,10 @@ import pytest
 from jax.sharding import Mesh
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.trainers.ailsrs import Ailsrs, AilsrsSettings, make_ailsrs
-from ailsrs_jax.trainers.ars import Ars, ArsSettings
-from ailsrs_jax.trainers.parts.devices import AXIS, Devices
-from ailsrs_jax.trainers.parts.exploration import explore
+from ailsrs_jax.trainers.ars import ArsSettings, make_ars
+from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
 from tests.point_mass import (
     EPISODE_LENGTH,
     WIDE_ACTION,
@@ -43,8 +41,12 @@ SETTINGS = AilsrsSettings(
 )
 
 
-def devices(count: int) -> Devices:
-    return Devices(Mesh(np.array(jax.devices()[:count]), (AXIS,)))
+def on_devices(env: PointMass, count: int) -> Simulator:
+    return Simulator(env, Mesh(np.array(jax.devices()[:count]), (AXIS,)))
+
+
+def moved(trainer: Ailsrs, count: int) -> Ailsrs:
+    return dataclasses.replace(trainer, simulator=on_devices(trainer.env, count))
 
 
 @pytest.fixture
@@ -52,97 +54,85 @@ def alone(point_mass: PointMass, point_mass_expert: Demonstrations) -> Ailsrs:
     return make_ailsrs(point_mass, point_mass_expert, SETTINGS)
 
 
-def test_a_run_on_many_devices(alone: Ailsrs) -> None:
+@pytest.mark.parametrize("count", [4, 3])  # 20 episodes: 5 for each, and 7 with a copy of the last
+def test_a_run_on_many_devices(alone: Ailsrs, count: int) -> None:
     """Three iterations of two seeds, as the command line runs them."""
-    many = dataclasses.replace(alone, devices=devices(4))
     seeds = jnp.array([0, 3])
     results = [
-        jax.jit(jax.vmap(lambda seed, t=trainer: t.train(jax.random.key(seed))))(seeds)
-        for trainer in (alone, many)
+        jax.jit(
+            jax.vmap(lambda seed, t=trainer: t.train(jax.random.key(seed))),
+            out_shardings=trainer.simulator.everywhere,
+        )(seeds)
+        for trainer in (alone, moved(alone, count))
     ]
     (state, metrics), (many_state, many_metrics) = results
     for name, values in metrics.items():
         np.testing.assert_allclose(many_metrics[name], values, rtol=2e-3, atol=1e-4, err_msg=name)
+    np.testing.assert_array_equal(many_metrics["env_steps"], metrics["env_steps"])
     np.testing.assert_allclose(many_state.weights, state.weights, rtol=1e-3, atol=1e-4)
     np.testing.assert_array_equal(many_state.memory.lengths, state.memory.lengths)
     np.testing.assert_allclose(many_state.memory.steps, state.memory.steps, atol=1e-3)
     assert float(jnp.abs(state.weights).max()) > 0.1  # they went somewhere
 
 
-def test_directions_and_episodes_are_the_same_bits(point_mass: PointMass, alone: Ailsrs) -> None:
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_episodes_are_the_same_bits(point_mass: PointMass, alone: Ailsrs, count: int) -> None:
     state = alone.init(jax.random.key(0))
-    deltas = jax.random.normal(jax.random.key(1), (8, *state.weights.shape))
-
-    def lengths_and_returns(where: Devices) -> tuple[jax.Array, ...]:
-        def on_one_device() -> tuple[jax.Array, ...]:
-            batch = explore(
-                point_mass,
-                alone.policy(state.weights, state.statistics),
-                deltas,
-                jax.random.key(2),
-                noise_std=1.0,
-                num_evaluation_episodes=2,
-                episode_length=EPISODE_LENGTH,
-                devices=where,
-                batch_size=None,
-            )
-            by_pair = (values[2:].reshape(2, -1) for values in (batch.lengths, batch.env_returns))
-            return tuple(where.gather(values, axis=1) for values in by_pair)
-
-        return jax.jit(where.split(on_one_device, jax.sharding.PartitionSpec()))()
-
-    expected = lengths_and_returns(Devices())
-    assert len(np.unique(expected[0])) > 3
-    for count in (2, 4):
-        for values, reference in zip(lengths_and_returns(devices(count)), expected, strict=True):
-            np.testing.assert_array_equal(values, reference)
+    weights = jax.random.normal(jax.random.key(1), (16, *state.weights.shape))
+    policies = alone.policy(state.weights, state.statistics).with_weights(weights)
+    keys = jax.random.split(jax.random.key(2), 16)
+    expected, episodes = (
+        jax.jit(lambda s=simulator: s(policies, keys, EPISODE_LENGTH))()
+        for simulator in (Simulator(point_mass), on_devices(point_mass, count))
+    )
+    assert len(np.unique(expected.lengths)) > 3
+    for name in ("observations", "actions", "env_rewards", "lengths", "diverged"):
+        np.testing.assert_array_equal(getattr(episodes, name), getattr(expected, name))
 
 
 def test_a_state_saved_from_many_devices_continues_on_one(alone: Ailsrs, tmp_path: Path) -> None:
-    many = dataclasses.replace(alone, devices=devices(4))
+    many = moved(alone, 4)
     state, _ = jax.jit(many.update)(jax.jit(many.init)(jax.random.key(0)))
-    assert not state.memory.steps.sharding.is_fully_replicated
     with Checkpoints(tmp_path, 1) as checkpoints:
         checkpoints.save(1, state)
     with Checkpoints(tmp_path, 1) as checkpoints:
-        moved = checkpoints.restore(jax.jit(alone.init)(jax.random.key(0))).state
-    after, _ = jax.jit(alone.update)(moved)
+        restored = checkpoints.restore(jax.jit(alone.init)(jax.random.key(0))).state
+    after, _ = jax.jit(alone.update)(restored)
     expected, _ = jax.jit(many.update)(state)
     np.testing.assert_allclose(after.weights, expected.weights, rtol=1e-3, atol=1e-5)
 
 
 def test_the_compiled_update_takes_its_own_result(alone: Ailsrs) -> None:
-    """So nothing is compiled again, whose arguments would lie elsewhere on the devices."""
-    many = dataclasses.replace(alone, devices=devices(2))
-    state = jax.jit(jax.vmap(many.init))(jax.random.split(jax.random.key(0), 2))
-    update = jax.jit(jax.vmap(many.update)).lower(state).compile()
+    """So nothing is compiled again for arguments that lie elsewhere on the devices."""
+    many = moved(alone, 2)
+    place = many.simulator.everywhere
+    keys = jax.random.split(jax.random.key(0), 2)
+    state = jax.jit(jax.vmap(many.init), out_shardings=place)(keys)
+    update = jax.jit(jax.vmap(many.update), out_shardings=place).lower(state).compile()
     for _ in range(3):
         state, _ = update(state)
     assert state.iteration.tolist() == [3, 3]
 
 
-def test_only_returns_lengths_moments_and_gradients_cross() -> None:
-    """No trajectory, no direction and no remembered step: read off the compiled program."""
-    many = make_ailsrs(WidePointMass(), wide_demonstrations(), SETTINGS, devices(2))
-    state = jax.jit(many.init)(jax.random.key(0))
-    program = jax.jit(many.update).lower(state).compile().as_text()
+def test_no_trajectory_crosses() -> None:
+    """Only evaluation episodes, sampled steps, returns and moments do: see the compiled program."""
+    env = WidePointMass()
+    many = make_ailsrs(on_devices(env, 2), wide_demonstrations(), SETTINGS)
+    place = many.simulator.everywhere
+    state = jax.jit(many.init, out_shardings=place)(jax.random.key(0))
+    program = jax.jit(many.update, out_shardings=place).lower(state).compile().as_text()
     crossing = re.findall(r"= \(?(.*?)\)? (all-\w+|collective-\w+|reduce-scatter)\(", program)
-    kinds = {kind for _, kind in crossing}
-    assert kinds == {"all-reduce", "all-gather"}
-    shapes = {
-        (kind, tuple(map(int, filter(None, sizes.split(",")))))
-        for result, kind in crossing
-        for sizes in re.findall(r"\w+\[([\d,]*)\]", result)
-    }
-    n, p = WIDE_OBSERVATION, WIDE_ACTION
-    gradients = {(n + p, 100), (100, 100), (100, 1), (100,), (1,)}
-    moments, scalars = {(), (n,)}, {()}
-    for kind, shape in shapes:
-        if kind == "all-gather":
-            assert math.prod(shape) == 2 * SETTINGS.num_directions, shape
-        else:
-            assert shape in gradients | moments | scalars, shape
-    assert ("all-reduce", (100, 100)) in shapes
+    sizes = [
+        math.prod(map(int, filter(None, shape.split(","))))
+        for result, _ in crossing
+        for shape in re.findall(r"\w+\[([\d,]*)\]", result)
+    ]
+    width = WIDE_OBSERVATION + WIDE_ACTION
+    evaluation = SETTINGS.num_evaluation_episodes * EPISODE_LENGTH * WIDE_OBSERVATION
+    sampled = (SETTINGS.memory_samples + 10 * SETTINGS.num_evaluation_episodes) * width
+    assert max(sizes) <= max(evaluation, sampled)
+    # The discriminator's gradients do not: it is trained everywhere.
+    assert width * 100 not in sizes
 
 
 def test_random_search_on_the_environments_reward(point_mass: PointMass) -> None:
@@ -150,18 +140,10 @@ def test_random_search_on_the_environments_reward(point_mass: PointMass) -> None
         num_iterations=3, num_directions=8, noise_std=0.1, episode_length=EPISODE_LENGTH
     )
     results = [
-        jax.jit(Ars(point_mass, settings, where).train)(jax.random.key(0))
-        for where in (Devices(), devices(4))
+        jax.jit(make_ars(simulator, settings).train)(jax.random.key(0))
+        for simulator in (Simulator(point_mass), on_devices(point_mass, 4))
     ]
     (state, metrics), (many_state, many_metrics) = results
     np.testing.assert_allclose(many_state.weights, state.weights, rtol=1e-3, atol=1e-5)
     np.testing.assert_array_equal(many_metrics["env_steps"], metrics["env_steps"])
     np.testing.assert_allclose(many_state.statistics.std, state.statistics.std, rtol=1e-4)
-
-
-def test_directions_must_be_shared_evenly(
-    point_mass: PointMass, point_mass_expert: Demonstrations
-) -> None:
-    settings = dataclasses.replace(SETTINGS, num_directions=6)
-    with pytest.raises(UserError, match="6 directions cannot be shared evenly by 4 devices"):
-        make_ailsrs(point_mass, point_mass_expert, settings, devices(4))

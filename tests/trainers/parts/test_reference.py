@@ -7,8 +7,8 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.reference import make_reference
-from ailsrs_jax.trainers.parts.rollout import Episodes
 
 TIME_LIMIT = 100
 NUM_SAMPLES = 2000

@@ -6,7 +6,8 @@ import pytest
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.registry import make_env
-from ailsrs_jax.trainers.parts.rollout import Episodes, simulate
+from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.rollout import simulate
 from tests.point_mass import PointMass
 
 

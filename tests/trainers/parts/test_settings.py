@@ -64,7 +64,7 @@ def test_text_becomes_the_type_of_the_field() -> None:
     assert parsed == {"num_iterations": 3, "step_size": 1.0, "behavior_cloning_start": True}
     assert list(map(type, parsed.values())) == [int, float, bool]
     assert parse(AilsrsSettings(), {n: as_text(v) for n, v in parsed.items()}) == parsed
-    with pytest.raises(UserError, match="num_iterations is '3.5': it must be a whole number"):
+    with pytest.raises(UserError, match=r"num_iterations is '3\.5': it must be a whole number"):
         parse(AilsrsSettings(), {"num_iterations": "3.5"})
     with pytest.raises(UserError, match=r"no setting 'step' \(did you mean step_size"):
         parse(AilsrsSettings(), {"step": "1"})
@@ -77,5 +77,5 @@ def test_typed_values_are_plain_python_ones() -> None:
     assert [type(getattr(settings, name)) for name in changes] == [float, int, float]
     with pytest.raises(UserError, match="no setting 'noise'"):
         override(AilsrsSettings(), {"noise": 0.1})
-    with pytest.raises(UserError, match="step_size is 0.02: it must be a number"):
+    with pytest.raises(UserError, match=r"step_size is 0\.02: it must be a number"):
         override(AilsrsSettings(), {"step_size": "0.02"})

@@ -1,0 +1,33 @@
+"""Fixtures of the tests of sweeps."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
+from tests.sweeps.toy_sweep import POINT_MASS
+
+
+@pytest.fixture
+def demonstrations(in_tmp_path: Path, point_mass_expert: Demonstrations) -> str:
+    """A file with demonstrations of the point mass, in the current directory."""
+    save_demonstrations(point_mass_expert.replace(env_id=POINT_MASS), "point_mass.npz")
+    return "point_mass.npz"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep even the smallest compiled programs, because these tests train the same cells often."""
+    options = {
+        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("xla")),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    before = {name: jax.config.values[name] for name in options}
+    for name, value in options.items():
+        jax.config.update(name, value)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)

@@ -130,7 +130,10 @@ def search_expert(
 def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., None]) -> None:
     trainer = make_ars(choose_simulator(env), settings)
     seeds, env_steps = np.array([seed], np.int32), np.zeros(1, np.int64)
-    start = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))(seeds)
-    for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):
+    place = trainer.simulator.everywhere
+    init = jax.vmap(lambda seed: trainer.init(jax.random.key(seed)))
+    start = jax.jit(init, out_shardings=place)(seeds)
+    num_iterations = settings.num_iterations
+    for state, report in iterate(trainer.update, start, env_steps, 0, num_iterations, place=place):
         kept = jax.tree.map(lambda x: x[0], state.kept)
         consider(report, kept.policy, float(kept.score))

@@ -255,7 +255,7 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
     target = tmp_path / "results"
 
     planned = {field.name: "a" for field in dataclasses.fields(Cell)}
-    planned |= {"settings": {}, "all_settings": {}}
+    planned |= {"spec": {"env": "a", "seeds": [0]}, "all_settings": {}}
     cells = [planned, planned | {"name": "b"}]
     (sweep / "sweep.json").write_text(json.dumps({"cells": cells, "episodes": 1}))
     results.add("paper", sweep, "HEAD", target)

@@ -88,12 +88,23 @@ def expert(
             search with a linear one.
     """
     from ailsrs_jax.cli.progress import RunProgress
+    from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs.evaluation import evaluate
-    from ailsrs_jax.runs.experts.expert import search_expert
+    from ailsrs_jax.runs.experts.expert import expert_settings, train_expert
+    from ailsrs_jax.trainers.parts.settings import parse
 
-    changes = assignments(settings)
+    preset = expert_settings(algorithm, resolve_env_id(env))
+    changes = parse(preset, assignments(settings))
     with RunProgress(terminal.console) as progress:
-        policy = search_expert(env, seed, physics, changes, output, progress, algorithm)
+        policy = train_expert(
+            env,
+            algorithm=algorithm,
+            seed=seed,
+            physics=physics,
+            output=output,
+            watch=progress,
+            **changes,
+        )
     if terminal.quiet and not terminal.as_json:
         return
     evaluation = evaluate(policy, physics=physics)

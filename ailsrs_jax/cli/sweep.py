@@ -126,7 +126,7 @@ def report_rows(terminal: Terminal, rows: Sequence[Mapping[str, Any]], output: P
 
 def print_estimate(console: Console, estimates: Sequence["CostEstimate"]) -> None:
     """Print the table of ``--dry-run`` and the totals."""
-    columns = ("algorithm", "environment", "physics", "cells", "programs", "steps, at most")
+    columns = ("algorithm", "task", "physics", "cells", "programs", "steps, at most")
     table = Table(*columns, "memory", "physics alone", box=None)
     for row in estimates:
         table.add_row(

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
@@ -129,11 +128,10 @@ def train(
     learns_from = "the environment's reward"
     if config.num_trajectories:
         learns_from = f"{config.num_trajectories} demonstrations {config.source}"
-    terminal.console.print(
-        f"[bold]{planned.algorithm.title} on {config.env_id}[/] · {escape(learns_from)} · preset "
-        f"{preset} · seeds {' '.join(map(str, config.seeds))}\nphysics {config.physics} "
-        f"({planned.physics_reason}) · devices: {planned.simulator.num_devices} · {escape(str(output))}",
-        soft_wrap=True,
+    terminal.line(
+        f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · seeds "
+        f"{' '.join(map(str, config.seeds))}\nphysics {config.physics} ({planned.physics_reason}) · "
+        f"devices: {planned.simulator.num_devices} · {output}"
     )
     stop = StopSignals()
     try:

@@ -128,9 +128,10 @@ def train(
     learns_from = "the environment's reward"
     if config.num_trajectories:
         learns_from = f"{config.num_trajectories} demonstrations {config.source}"
+    named = " ".join(map(str, config.seeds))
     terminal.line(
-        f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · seeds "
-        f"{' '.join(map(str, config.seeds))}\nphysics {config.physics} ({planned.physics_reason}) · "
+        f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · "
+        f"seeds {named}\nphysics {config.physics} ({planned.physics_reason}) · "
         f"devices: {planned.simulator.num_devices} · {output}"
     )
     stop = StopSignals()

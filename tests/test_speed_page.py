@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from ailsrs_jax.cli.progress import print_benchmark
+from ailsrs_jax.cli.measure import print_benchmark
 from ailsrs_jax.runs.benchmark.speed import Row
 from experiments.peer import compare
 

@@ -197,7 +197,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(SweepProgress, "__call__", interrupt)
         assert ailsrs(patched, "sweep", "tiny.toml", "--output", "out") == 130
-    assert "saved; go on with:\nailsrs sweep tiny" in capsys.readouterr().err
+    assert "saved; continue with:\nailsrs sweep tiny" in capsys.readouterr().err
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
     printed = capsys.readouterr().out
     assert "2/2  tests.point" in printed

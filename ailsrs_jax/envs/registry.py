@@ -4,7 +4,6 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from ailsrs_jax.envs import Env
@@ -18,7 +17,7 @@ from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.envs.tasks.swimmer import Swimmer
 from ailsrs_jax.envs.tasks.walker2d import Walker2d
 from ailsrs_jax.errors import UserError, did_you_mean, refusing
-from ailsrs_jax.own_code import is_own, load_own
+from ailsrs_jax.own_code import is_here, is_own, load_own
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -125,14 +124,10 @@ def require_harmless(env_id: str, source: str) -> None:
     harmful, so it must name one of this package's tasks, something in the current directory, or the
     class of an environment.
     """
-    if env_id in TASKS or not is_own(env_id):
+    if env_id in TASKS or not is_own(env_id) or is_here(env_id):
         return
     parts = env_id.partition(":")[0].split(".")
-    path = Path.cwd().joinpath(*parts)
-    is_module = all(part.isidentifier() for part in parts)
-    if is_module and (path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()):
-        return
-    if is_module and parts[0] not in sys.stdlib_module_names:
+    if all(map(str.isidentifier, parts)) and parts[0] not in sys.stdlib_module_names:
         factory = _factory(env_id)
         if isinstance(factory, type) and issubclass(factory, Env):
             return

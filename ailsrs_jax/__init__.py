@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
     from ailsrs_jax.data.demonstrations import save_demonstrations as save_demonstrations
     from ailsrs_jax.data.episodes import Recording as Recording
-    from ailsrs_jax.data.formats.imitation import load_imitation as load_imitation
-    from ailsrs_jax.data.formats.minari import load_minari as load_minari
-    from ailsrs_jax.data.formats.minari import save_minari as save_minari
+    from ailsrs_jax.data.episodes import load_imitation as load_imitation
+    from ailsrs_jax.data.episodes import load_minari as load_minari
+    from ailsrs_jax.data.episodes import save_minari as save_minari
     from ailsrs_jax.data.policies import SavedLinearPolicy as SavedLinearPolicy
     from ailsrs_jax.data.policies import SavedMlpPolicy as SavedMlpPolicy
     from ailsrs_jax.data.policies import SavedPolicy as SavedPolicy
@@ -100,8 +100,8 @@ _HOMES = {
     "jax_policy": "runs.policies",
     "load_demonstrations": "data.demonstrations",
     "load_expert": "runs.policies",
-    "load_imitation": "data.formats.imitation",
-    "load_minari": "data.formats.minari",
+    "load_imitation": "data.episodes",
+    "load_minari": "data.episodes",
     "load_policy": "data.policies",
     "make_ailsrs": "trainers.ailsrs",
     "make_ars": "trainers.ars",
@@ -117,7 +117,7 @@ _HOMES = {
     "report": "show.report",
     "report_sweep": "show.sweep_report",
     "save_demonstrations": "data.demonstrations",
-    "save_minari": "data.formats.minari",
+    "save_minari": "data.episodes",
     "sweep": "sweeps.sweep",
     "train": "runs.run",
     "train_expert": "runs.experts.expert",

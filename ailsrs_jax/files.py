@@ -1,29 +1,28 @@
-"""Reading archives that may be anything; writing files so that nobody sees half of one."""
+"""Reading files that may be damaged or hostile, and writing files atomically."""
 
 import json
 import os
 import tempfile
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
+from ailsrs_jax.errors import UserError, one_line, refusing
 
-from ailsrs_jax.errors import UserError, one_line
-
-MAX_JSON = 2**20  # bytes; ours have a few thousand
+MAX_JSON = 2**20  # bytes; this package's own files have a few thousand
 MAX_NAME = 200  # characters
-SMALL = 2**28  # bytes that any machine has
+SMALL = 2**28  # bytes, which any machine has
 MAX_COMPRESSION = 100
-PARTIAL = ".partial"  # how the hidden files end that a process was killed while writing
+PARTIAL = (
+    ".partial"  # suffix of the hidden file that a process leaves if it is killed while writing
+)
 
 
 def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
     """Call ``write`` with a temporary file beside ``path``, then rename it to ``path``.
 
     Raises:
-        UserError: the place cannot be written to.
+        UserError: the file cannot be written.
     """
     path = Path(path)
     try:
@@ -46,7 +45,7 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
 
 
 def require_writable(path: Path) -> None:
-    """Raise UserError unless a file can be written at ``path``: for asking before a long run."""
+    """Raise UserError unless a file can be written at ``path``; called before a long run."""
     folder = path.parent
     try:
         while not folder.exists():
@@ -59,10 +58,7 @@ def require_writable(path: Path) -> None:
 
 
 def require_file(path: Path) -> None:
-    """Raise UserError unless ``path`` is a file: a pipe or a device could be read for ever.
-
-    The message says what it is instead.
-    """
+    """Raise UserError unless ``path`` is a regular file; reading a pipe or device could block."""
     try:
         is_there, is_file = path.exists(), path.is_file()
     except (OSError, ValueError) as error:
@@ -74,10 +70,10 @@ def require_file(path: Path) -> None:
 
 
 def read_small(path: Path, limit: int = MAX_JSON) -> bytes:
-    """What a file holds, of at most ``limit`` bytes.
+    """Read a file of at most ``limit`` bytes.
 
     Raises:
-        UserError: it is no file, or cannot be read.
+        UserError: it is not a regular file, or cannot be read.
         ValueError: it is longer.
     """
     require_file(path)
@@ -92,77 +88,46 @@ def read_small(path: Path, limit: int = MAX_JSON) -> bytes:
 
 
 def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, Any]:
-    """Read a JSON file of at most ``limit`` bytes that should hold ``what``, an object.
+    """Read a JSON file of at most ``limit`` bytes that should hold an object.
+
+    Error messages call its content ``what``.
 
     Raises:
-        UserError: it is missing, damaged, or something else.
+        UserError: the file is missing, damaged, or not a JSON object.
     """
-    try:
+    with refusing(f"{path} is not {what}"):
         value = json.loads(read_small(path, limit))
         if not isinstance(value, dict):
-            raise ValueError("it is no JSON object")
-        # JSON can hold halves of characters, which no other file can.
+            raise ValueError("it is not a JSON object")
+        # JSON can hold unpaired surrogates, which UTF-8 cannot.
         json.dumps(value, ensure_ascii=False).encode()
-    except UserError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not {what}: {one_line(error)}") from error
     return value
 
 
-def read_npz(
-    path: Path, fields: tuple[str, ...], what: str, optional: tuple[str, ...] = ()
-) -> dict[str, np.ndarray]:
-    """Read the arrays ``fields``, and those of ``optional`` that are there, of a ``.npz`` file.
-
-    Messages say that it should be a file of ``what``.
-
-    Raises:
-        UserError: it is missing, damaged, pickled, or lacks a field.
-    """
-    require_file(path)
-    try:
-        with (
-            warnings.catch_warnings(action="ignore"),  # of headers written in strange ways
-            path.open("rb") as file,
-        ):
-            archive = np.load(file, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise UserError(f"{path} is not a .npz file of {what}")
-            missing = [name for name in fields if name not in archive.files]
-            if missing:
-                raise UserError(f"{path} has no {', '.join(missing)}: not a file of {what}")
-            names = [*fields, *(name for name in optional if name in archive.files)]
-            assert archive.zip is not None
-            entries = {*names, *(f"{name}.npy" for name in names)}
-            sizes = [x.file_size for x in archive.zip.infolist() if x.filename in entries]
-            require_plausible(sum(sizes), path.stat().st_size, str(path))
-            return {name: np.asarray(archive[name]) for name in names}
-    except UserError:
-        raise
-    except Exception as error:  # damaged archives raise whatever their reader stumbles over
-        reason = "it holds pickled objects" if "pickle" in str(error) else "it is damaged"
-        raise UserError(f"{path} is not a .npz file of {what}: {reason}") from error
-
-
 def require_plausible(size: int, file_size: int, source: str) -> None:
-    """Raise UserError if what takes ``file_size`` bytes would fill the memory when unpacked.
+    """Raise UserError if ``file_size`` bytes would unpack to implausibly many, ``size``.
 
-    Numbers of the real world shrink to half; the zeros after the ends of short episodes to a
-    thousandth, but only bombs hold nothing else in such numbers.
+    Measured numbers compress to about half their size. The zeros after the ends of short episodes
+    compress much more, but only a decompression bomb consists of nothing else and is that large.
     """
     if size > max(SMALL, MAX_COMPRESSION * file_size):
-        raise UserError(f"{source} would grow from {file_size:,} bytes to {size:,}: not read")
+        raise UserError(
+            f"{source} would grow from {file_size:,} bytes to {size:,}, so it is not read"
+        )
 
 
 def require_name(name: str, source: str) -> str:
-    """``name``, which is for people to read and to look up; UserError unless it can be one."""
+    """Return ``name`` if it can be the name of an environment.
+
+    Raises:
+        UserError: it is empty, too long, or not printable.
+    """
     if not (0 < len(name) <= MAX_NAME and name.isprintable()):
         raise UserError(f"{source}: env_id is not the name of an environment")
     return name
 
 
 def cache_directory() -> Path:
-    """Where things are kept that can be made again."""
+    """Return the directory of files that can be made again."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "ailsrs_jax"

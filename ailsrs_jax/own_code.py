@@ -52,7 +52,9 @@ def load_own(name: str) -> Any:
         return operator.attrgetter(attribute)(module)
     except AttributeError as error:
         hint = did_you_mean(attribute, dir(module))
-        raise UserError(f"{module.__file__}, line 1: there is no '{attribute}'{hint}") from error
+        raise UserError(
+            f"{getattr(module, '__file__', module_name)}, line 1: there is no '{attribute}'{hint}"
+        ) from error
 
 
 def own_function(name: str) -> Callable[..., Any]:

@@ -1,14 +1,14 @@
-"""Refuses, in one line, combinations of packages that are known to fail in ways hard to read."""
+"""Refusal, in one line, of package versions that are known to fail in obscure ways."""
 
 from importlib.metadata import version
 
-# jax 0.10 waits for ever on CPUs when two independent batched LAPACK calls of some 900 matrices run
-# in one program, which MJX does (tests/envs/test_large_batch.py); older ones are not tested.
+# On CPUs jax 0.10 deadlocks when two independent batched LAPACK calls of some 900 matrices run in
+# one program, as they do in MJX (tests/envs/test_large_batch.py). Versions before 0.9 are untested.
 SUPPORTED_JAX = ("0.9.",)
 
 
 class VersionError(ImportError):
-    """A dependency is of a version that does not work; the message says what to install."""
+    """A dependency has an unsupported version; the message says which version to install."""
 
 
 def require_supported() -> None:

@@ -1,4 +1,4 @@
-"""Tasks that diverge: a toy in every way there is, and a model that is too stiff for its steps."""
+"""Tasks that diverge: a point mass, and a MuJoCo model that is too stiff for its time step."""
 
 import math
 from pathlib import Path
@@ -14,13 +14,13 @@ FINITE_STEPS = 5
 
 
 class ExplodingPointMass(PointMass):
-    """The point mass, of whose episodes a share is unstable, whatever the policy does.
+    """A point mass of which a share of the episodes is unstable, whatever the policy does.
 
-    These observe ten times more with every step, and after :data:`FINITE_STEPS` diverge.
+    Their observations grow tenfold with every step and diverge after :data:`FINITE_STEPS`.
     """
 
     def __init__(self, share: float = 0.3, value: float = math.nan, place: str = "obs") -> None:
-        """Diverging is to have ``value`` in the state's ``place``, obs or reward."""
+        """A diverged state has ``value`` in its field ``place``, obs or reward."""
         self._share, self._value, self._place = share, value, place
 
     def reset(self, rng: jax.Array) -> State:
@@ -40,8 +40,8 @@ class ExplodingPointMass(PointMass):
         return after.replace(**place)
 
 
-# Outside of ±0.35 a spring pulls back that is too stiff for the time step: with each of them it
-# swings 3.7 times as far to the other side.
+# Outside ±0.35 a spring pulls back that is too stiff for the time step: each step swings the slider
+# 3.7 times as far to the other side.
 STIFF_SLIDER = """
 <mujoco>
   <option timestep="0.01" gravity="0 0 0"/>
@@ -62,7 +62,7 @@ STIFF_SLIDER = """
 
 
 class StiffSlider(MujocoTask):
-    """docs/own_task.md's slider, starting within ±0.5: three of ten episodes diverge."""
+    """The slider of docs/own_task.md, started within ±0.5: three in ten episodes diverge."""
 
     def __init__(self, physics: str, directory: Path) -> None:
         path = directory / "stiff_slider.xml"

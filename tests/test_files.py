@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 
 from ailsrs_jax import files
+from ailsrs_jax.data.formats.npz import read_npz
 from ailsrs_jax.data.sources import open_source
 from ailsrs_jax.errors import UserError
 
 
 def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many zeros as short episodes leave are no bomb."""
+    """The zeros after short episodes are not taken for a bomb."""
     path = tmp_path / "zeros.npz"
     np.savez_compressed(path, observations=np.zeros((40, 1000, 100)))
-    assert files.read_npz(path, ("observations",), "anything")["observations"].size == 4_000_000
+    assert read_npz(path, ("observations",), "anything")["observations"].size == 4_000_000
     monkeypatch.setattr(files, "SMALL", 2**20)
-    with pytest.raises(UserError, match=r"would grow from .* bytes to 32,000,128: not read"):
-        files.read_npz(path, ("observations",), "demonstrations")
+    with pytest.raises(UserError, match=r"would grow from .* bytes to 32,000,128, so"):
+        read_npz(path, ("observations",), "demonstrations")
 
 
-def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_without_blocking(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.npz")
     errors: list[str] = []
 
@@ -40,21 +41,21 @@ NO_OBJECTS = [b"", b"[]", b"9" * 5000, b" " * 2**21, b"\xff{}", b'{"a": "\\ud800
 
 
 @pytest.mark.parametrize("content", [*NO_OBJECTS, b"[" * 10**5, b'{"a": ' * 10**5])
-def test_what_is_no_json_object_is_one_line(content: bytes, tmp_path: Path) -> None:
+def test_anything_but_a_json_object_is_refused_in_one_line(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "file.json").write_bytes(content)
     with pytest.raises(UserError, match="is not a greeting: ") as caught:
         files.read_json_object(tmp_path / "file.json", "a greeting")
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_messages_are_one_short_line_whatever_is_in_them() -> None:
+def test_every_message_is_one_short_printable_line() -> None:
     message = str(UserError("no such file: a\nb\x1b[2J\ud800" + "x" * 10**6))
     assert message.startswith("no such file: a\\nb\\x1b[2J\\ud800xxx")
     assert len(message) == 1000
     assert message.isprintable()
 
 
-def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     files.write_atomically(path, lambda file: file.write(b"old"))
 

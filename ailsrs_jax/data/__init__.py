@@ -1,1 +1,1 @@
-"""Demonstrations, policies and experts on disk: knows no training."""
+"""Demonstrations and policies in memory and on disk; independent of training."""

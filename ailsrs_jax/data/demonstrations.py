@@ -1,4 +1,4 @@
-"""Demonstrations: what they are in memory, and their file."""
+"""Demonstrations in memory, and their file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,8 +8,9 @@ import jax
 import numpy as np
 from flax import struct
 
-from ailsrs_jax.errors import UserError
-from ailsrs_jax.files import read_npz, require_name, write_atomically
+from ailsrs_jax.data.formats.npz import encode_npz, read_npz
+from ailsrs_jax.errors import UserError, requirement
+from ailsrs_jax.files import require_name, write_atomically
 
 REQUIRED = ("observations", "lengths", "returns", "env_id")
 OPTIONAL = ("actions", "stride")
@@ -18,51 +19,51 @@ OPTIONAL = ("actions", "stride")
 class Demonstrations(struct.PyTreeNode):
     """E expert episodes, recorded with a time limit of T entries.
 
-    A length below T means that the episode ended in a terminal state; entries after an episode's
-    end mean nothing. Without actions they are for imitation from observations alone.
+    An episode with a length below T ended in a terminal state. Entries after an episode's end are
+    meaningless. Demonstrations without actions serve imitation from observations alone.
     """
 
     observations: jax.Array | np.ndarray  #: (E, T, n) float32
     actions: jax.Array | np.ndarray | None  #: (E, T, p) float32, as applied
     lengths: jax.Array | np.ndarray  #: (E,) int32, entries of each episode, between 1 and T
-    returns: jax.Array | np.ndarray  #: (E,) float32, of the environment's reward; never trained on
+    returns: jax.Array | np.ndarray  #: (E,) float32, of the environment's reward; not trained on
     env_id: str = struct.field(pytree_node=False)
     stride: int = struct.field(pytree_node=False, default=1)  #: environment steps between entries
 
     @property
     def num_trajectories(self) -> int:
-        """How many episodes there are, E."""
+        """The number of episodes, E."""
         return int(self.lengths.shape[0])
 
     @property
     def alive(self) -> jax.Array | np.ndarray:
-        """``(E, T)`` bool: the step happened."""
+        """Whether each entry belongs to its episode, ``(E, T)`` bool."""
         return np.arange(self.observations.shape[1]) < self.lengths[:, None]
 
     def first(self, num_trajectories: int) -> "Demonstrations":
-        """The first ``num_trajectories`` episodes.
+        """Return the first ``num_trajectories`` episodes.
 
         Raises:
-            UserError: there are fewer, or none is asked for.
+            UserError: the number is below 1, or there are fewer episodes.
         """
         if not 1 <= num_trajectories <= self.num_trajectories:
             raise UserError(
-                f"{num_trajectories} trajectories asked for: the demonstrations hold "
+                f"cannot use {num_trajectories} trajectories: the demonstrations hold "
                 f"{self.num_trajectories}"
             )
         return jax.tree.map(lambda x: x[:num_trajectories], self)
 
     def subsample(self, every: int, seed: int = 0) -> "Demonstrations":
-        """Keep every k-th entry of each episode, from a random one of its first k on.
+        """Keep every k-th entry of each episode, beginning with a random one of its first k.
 
-        The time limit becomes ⌊T / k⌋ whole blocks of k entries. An episode that reaches it keeps
-        one entry of each block, wherever it begins, so that a length below it still means that the
-        episode ended; one of L entries keeps L / k of them on average. Only an episode shorter than
-        k keeps more than its share: one entry, drawn from all of its own.
+        The time limit becomes ⌊T / k⌋, the number of whole blocks of k entries. An episode that
+        reaches it keeps one entry of each block whatever its offset, so a length below the time
+        limit still means that the episode ended. An episode of L entries keeps L / k on average,
+        except that one shorter than k keeps one entry, drawn from all of them.
 
         Args:
             every: k.
-            seed: of the offsets, which are drawn one episode after the other.
+            seed: seed of the offsets, which are drawn for one episode after another.
 
         Raises:
             UserError: k is below 1 or above the time limit.
@@ -70,14 +71,14 @@ class Demonstrations(struct.PyTreeNode):
         num_blocks = self.observations.shape[1] // max(every, 1)
         if every < 1 or num_blocks < 1:
             raise UserError(
-                f"every {every}th step asked for: it must be from 1 to the time limit of the "
-                f"demonstrations, {self.observations.shape[1]}"
+                f"cannot keep every {every}th step: the number must be from 1 to the time limit of "
+                f"the demonstrations, {self.observations.shape[1]}"
             )
         lengths = np.asarray(self.lengths)
         offsets = np.random.default_rng(seed).integers(np.minimum(every, lengths))
         kept = np.minimum(-(-(lengths - offsets) // every), num_blocks).astype(np.int32)
         times = offsets[:, None] + every * np.arange(num_blocks)
-        # Past the episode's end any entry will do.
+        # Entries past the episode's end are meaningless, so index 0 is a safe placeholder.
         times = np.where(np.arange(num_blocks) < kept[:, None], times, 0)
 
         def entries(array: jax.Array | np.ndarray) -> np.ndarray:
@@ -91,41 +92,36 @@ class Demonstrations(struct.PyTreeNode):
         )
 
     def fields(self) -> dict[str, np.ndarray]:
-        """What their file holds; actions and stride are left out where there are none."""
-        present = ["observations", "actions", "lengths", "returns", "env_id", "stride"]
-        if self.actions is None:
-            present.remove("actions")
-        if self.stride == 1:
-            present.remove("stride")
-        return {name: np.asarray(getattr(self, name)) for name in present}
+        """Return the arrays of their file, without actions if there are none or a stride of 1."""
+        names = ["observations", "actions", "lengths", "returns", "env_id", "stride"]
+        absent = {"actions": self.actions is None, "stride": self.stride == 1}
+        return {
+            name: np.asarray(getattr(self, name)) for name in names if not absent.get(name, False)
+        }
 
 
 def save_demonstrations(demonstrations: Demonstrations, path: str | Path) -> None:
-    """Write a ``.npz`` file, whole or not at all; :func:`load_demonstrations` reads it."""
-    fields: dict[str, Any] = demonstrations.fields()
-    write_atomically(path, lambda file: np.savez_compressed(file, **fields))
+    """Write a ``.npz`` file atomically; :func:`load_demonstrations` reads it."""
+    content = encode_npz(demonstrations.fields(), compress=True)
+    write_atomically(path, lambda file: file.write(content))
 
 
 def load_demonstrations(path: str | Path) -> Demonstrations:
-    """Read and validate a ``.npz`` file; nothing in it is ever unpickled.
+    """Read and validate a ``.npz`` file; nothing is unpickled.
 
     Raises:
-        UserError: the file is missing, is not such a file, or its contents contradict one another.
+        UserError: the file is missing, has another format, or its contents contradict one another.
     """
     return validated(read_npz(Path(path), REQUIRED, "demonstrations", OPTIONAL), str(path))
 
 
 def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
-    """Make demonstrations of ``fields``, checked, and zero after the end of each episode.
+    """Check ``fields`` and return them as demonstrations, with zeros after the episodes' ends.
 
     Raises:
         UserError: they contradict one another; the message begins with ``source``.
     """
-
-    def require(condition: bool, problem: str) -> None:
-        if not condition:
-            raise UserError(f"{source}: {problem}")
-
+    require = requirement(source)
     observations, lengths, returns, env_id = (np.asarray(fields[name]) for name in REQUIRED)
     require(observations.ndim == 3, f"observations are {observations.shape}, not (E, T, n)")
     num_episodes, num_steps = observations.shape[:2]
@@ -151,12 +147,12 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
     stride = np.asarray(fields.get("stride", 1))
     require(
         stride.ndim == 0 and np.issubdtype(stride.dtype, np.integer) and int(stride) >= 1,
-        "stride is not a single integer from 1 on",
+        "stride is not a single positive integer",
     )
     require(returns.dtype.kind in "iuf", "returns are not numbers")
     for name, array in steps.items():
         require(array.dtype.kind == "f", f"{name} are not floating-point numbers")
-    # From here on there are as many numbers in memory as the shapes say.
+    # The types come first: an array of empty strings can have a huge shape in a tiny file.
     alive = (np.arange(num_steps) < lengths[:, None])[..., None]
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused
         steps = {

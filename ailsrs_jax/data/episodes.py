@@ -1,68 +1,114 @@
-"""Whole episodes, as other formats hold them, and the demonstrations made of them."""
+"""Demonstrations from and to the datasets of other libraries, which hold whole episodes."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations, validated
+from ailsrs_jax.data.formats.episodes import Episode
+from ailsrs_jax.data.formats.imitation import read_imitation
+from ailsrs_jax.data.formats.minari import read_minari, write_minari
 from ailsrs_jax.errors import UserError
-
-
-class Episode(NamedTuple):
-    """One expert episode of L steps."""
-
-    observations: np.ndarray  # (L, n) float32
-    actions: np.ndarray  # (L, p) float32
-    env_return: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """Demonstrations, and what only other formats ask for."""
+    """Demonstrations, with the rewards and final observations that other formats need."""
 
     demonstrations: Demonstrations
     env_rewards: np.ndarray  #: (E, T) float32, of the environment
-    final_observations: np.ndarray  #: (E, n) float32, what the last action led to
+    final_observations: np.ndarray  #: (E, n) float32, after the last action
 
 
-def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> Episode:
-    """Check one episode.
+def load_minari(
+    dataset_id: str, env_id: str, num_trajectories: int | None = None
+) -> tuple[Demonstrations, int]:
+    """Read a Minari dataset, which is downloaded first if it is not on this machine.
+
+    An episode that ended neither in a terminal state nor at the environment's time limit was cut
+    off. It is left out, because its end is unknown.
 
     Args:
-        observations: ``(L + 1, n)``; nothing was done in the final one, which is left out.
-        actions: ``(L, p)``.
-        rewards: ``(L,)``.
-        where: what a message begins with.
+        dataset_id: for example ``mujoco/hopper/expert-v0``.
+        env_id: the dataset's environment: one of Gymnasium's, with its default arguments; or your
+            own task, ``module:attribute``, which the dataset need not name.
+        num_trajectories: the maximum number of whole episodes to read.
+
+    Returns:
+        the demonstrations, and the number of episodes that were left out.
 
     Raises:
-        UserError: they are something else.
+        UserError: Minari is not installed, has no such dataset or cannot read it, it is of another
+            environment, or its contents contradict one another.
     """
-    observations, actions, rewards = map(np.asarray, (observations, actions, rewards))
-    ranks = (observations.ndim, actions.ndim, rewards.ndim)
-    if ranks != (2, 2, 1) or not 1 <= len(actions) == len(rewards) == len(observations) - 1:
-        raise UserError(
-            f"{where}: observations {observations.shape}, actions {actions.shape} and rewards "
-            f"{rewards.shape} are not (L + 1, n), (L, p) and (L,)"
+    source = f"minari:{dataset_id}"
+    time_limit, pairs = read_minari(dataset_id, env_id)
+    episodes, num_left_out = _collect(pairs, num_trajectories, source)
+    num_steps = time_limit or 2 * max(episode.length for episode in episodes)
+    return stack(episodes, num_steps, env_id, source), num_left_out
+
+
+def save_minari(recording: Recording, dataset_id: str) -> None:
+    """Write a new Minari dataset of one of Gymnasium's environments, with the default arguments.
+
+    A dataset of your own task, ``module:attribute``, holds its name, but neither its code nor the
+    ranges of observations and actions.
+
+    Raises:
+        UserError: the dataset cannot be made.
+    """
+    demonstrations = recording.demonstrations
+    actions = demonstrations.actions
+    if actions is None or demonstrations.stride != 1:
+        raise UserError("a Minari dataset needs the action of every step")
+    episodes = [
+        Episode(
+            np.vstack([demonstrations.observations[index, :length], final]),
+            np.asarray(actions[index, :length]),
+            recording.env_rewards[index, :length],
         )
-    arrays = {"observations": observations, "actions": actions, "rewards": rewards}
-    for name, array in arrays.items():
-        if array.dtype.kind != "f":
-            raise UserError(f"{where}: {name} are {array.dtype}, not floating-point numbers")
-    with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused
-        return Episode(
-            observations[:-1].astype(np.float32),
-            actions.astype(np.float32),
-            float(rewards.sum(dtype=np.float64)),
+        for index, (length, final) in enumerate(
+            zip(np.asarray(demonstrations.lengths), recording.final_observations, strict=True)
         )
+    ]
+    time_limit = demonstrations.observations.shape[1]
+    write_minari(dataset_id, demonstrations.env_id, time_limit, episodes)
+
+
+def load_imitation(
+    directory: str | Path, env_id: str, num_trajectories: int | None = None
+) -> tuple[Demonstrations, int]:
+    """Read a directory of trajectories of the ``imitation`` library; nothing is unpickled.
+
+    The format names neither the environment nor its time limit. A trajectory that is not
+    ``terminal`` is part of an episode and is left out. Every other one ended in a terminal state or
+    at the time limit, which is assumed to be the length of the longest.
+
+    Args:
+        directory: as ``imitation.data.serialize.save`` writes it, with rewards.
+        env_id: the environment of the trajectories.
+        num_trajectories: the maximum number of whole episodes to read.
+
+    Returns:
+        the demonstrations, and the number of trajectories that were left out.
+
+    Raises:
+        UserError: it is not such a directory, pyarrow is not installed, or the contents contradict
+            one another.
+    """
+    pairs = read_imitation(Path(directory))
+    episodes, num_left_out = _collect(pairs, num_trajectories, str(directory))
+    longest = max(episode.length for episode in episodes)
+    return stack(episodes, longest, env_id, str(directory)), num_left_out
 
 
 def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str) -> Demonstrations:
-    """Demonstrations with a time limit of ``num_steps``, the longest episode's length or more.
+    """Make demonstrations with a time limit of ``num_steps``, which no episode exceeds.
 
     Raises:
-        UserError: the episodes are of different sizes, or not finite.
+        UserError: the episodes have different sizes, or hold NaN or infinity.
     """
     sizes = sorted({(x.observations.shape[1], x.actions.shape[1]) for x in episodes})
     if len(sizes) > 1:
@@ -74,11 +120,30 @@ def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str)
             row[: len(array)] = array
         return batch
 
+    with np.errstate(over="ignore"):  # what becomes infinite is refused below
+        returns = np.array([x.rewards.sum(dtype=np.float64) for x in episodes])
     fields = {
-        "observations": padded([episode.observations for episode in episodes]),
+        "observations": padded([episode.observations[:-1] for episode in episodes]),
         "actions": padded([episode.actions for episode in episodes]),
-        "lengths": np.array([len(episode.actions) for episode in episodes]),
-        "returns": np.array([episode.env_return for episode in episodes]),
+        "lengths": np.array([episode.length for episode in episodes]),
+        "returns": returns,
         "env_id": env_id,
     }
     return validated(fields, source)
+
+
+def _collect(
+    pairs: Iterable[tuple[Episode, bool]], num_trajectories: int | None, source: str
+) -> tuple[list[Episode], int]:
+    """Return the first whole episodes, and the number of cut-off ones among them."""
+    episodes, num_left_out = [], 0
+    for episode, is_whole in pairs:
+        if is_whole:
+            episodes.append(episode)
+        else:
+            num_left_out += 1
+        if len(episodes) == num_trajectories:
+            break
+    if not episodes:
+        raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
+    return episodes, num_left_out

@@ -13,9 +13,9 @@ from ailsrs_jax.data.demonstrations import (
     save_demonstrations,
     validated,
 )
-from ailsrs_jax.data.episodes import Recording
-from ailsrs_jax.data.formats.imitation import load_imitation, require_no_pickle
-from ailsrs_jax.data.formats.minari import load_minari, require_new_minari, save_minari
+from ailsrs_jax.data.episodes import Recording, load_imitation, load_minari, save_minari
+from ailsrs_jax.data.formats.imitation import require_no_pickle
+from ailsrs_jax.data.formats.minari import require_new_minari
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable
 

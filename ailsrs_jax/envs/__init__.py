@@ -7,7 +7,7 @@ from ailsrs_jax.versions import require_supported
 
 require_supported()
 
-# MJX, which Brax imports, prints a line for each optional backend that is missing.
+# Brax imports MJX, which prints a line for each optional backend that is missing.
 with contextlib.redirect_stdout(io.StringIO()):
     from brax.envs.base import Env as Env
     from brax.envs.base import State as State

@@ -1,4 +1,4 @@
-"""What an environment has to be, whoever wrote it."""
+"""The interface that an environment must have, and checks of it."""
 
 from typing import Any
 
@@ -7,42 +7,38 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import refusing, requirement
 
 
 def require_env(env: Any) -> None:
-    """Raise UserError unless ``env`` can be trained in; it is only traced, nothing is simulated.
+    """Raise UserError unless ``env`` can be trained in; it is traced, but not simulated.
 
-    It need not derive from Brax's ``Env``: MuJoCo Playground's environments do not, and have the
-    same members.
+    It need not derive from Brax's ``Env``: MuJoCo Playground's environments have the same members
+    without doing so.
     """
     name = env_name(env)
-
-    def require(condition: bool, problem: str) -> None:
-        if not condition:
-            raise UserError(f"{name}: {problem}")
-
-    require(not isinstance(env, type), "this is a class: hand in an environment made with it")
+    require = requirement(name)
+    require(not isinstance(env, type), "this is a class: pass an instance of it")
     missing = [member for member in ("reset", "step", "action_size") if not hasattr(env, member)]
     require(not missing, f"this is not a Brax environment: it has no {', '.join(missing)}")
     require(type(env).__hash__ is not None, "it has no hash: make it a dataclass with eq=False")
     layer = env
-    while layer is not None:  # wrappers of Brax and of Playground hold what they wrap as env
+    while layer is not None:  # wrappers of Brax and of Playground call the wrapped one env
         wrapper = type(layer).__name__
         bases = [base.__name__ for base in type(layer).__mro__]
-        require("Vmap" not in str(bases), f"{wrapper} makes it a batch: leave it out")
-        require("AutoReset" not in str(bases), f"{wrapper} restarts its episodes: leave it out")
+        require("Vmap" not in str(bases), f"{wrapper} makes it a batch: remove this wrapper")
+        require(
+            "AutoReset" not in str(bases), f"{wrapper} restarts its episodes: remove this wrapper"
+        )
         layer = getattr(layer, "env", None)
 
-    try:
+    with refusing(f"{name}: JAX cannot trace it"):
         state = jax.eval_shape(env.reset, jax.random.key(0))
         action = jax.ShapeDtypeStruct((env.action_size,), np.float32)
         next_state = jax.eval_shape(env.step, state, action)
         scalars = state.reward.shape, state.done.shape
         kind = type(state.obs)
         n, p = env_sizes(env) if kind is jax.ShapeDtypeStruct else (0, 0)
-    except Exception as error:  # whatever somebody else's code stumbles over
-        raise UserError(f"{name}: JAX cannot trace it: {one_line(error)}") from error
     require(n > 0, f"its observation is a {kind.__name__}: a linear policy needs a single vector")
     require(
         state.obs.shape == (n,) and jnp.issubdtype(state.obs.dtype, jnp.floating),
@@ -55,28 +51,35 @@ def require_env(env: Any) -> None:
     low, high = map(np.asarray, action_range(env))
     require(
         low.shape == high.shape == (p,) and bool(np.all((low < high) & np.isfinite(high - low))),
-        f"its {p} actions go from {low.tolist()} to {high.tolist()}: give each its range "
-        "(in a MuJoCo model, every actuator a ctrlrange)",
+        f"its {p} actions go from {low.tolist()} to {high.tolist()}: give each action a range "
+        "(in a MuJoCo model, give every actuator a ctrlrange)",
     )
 
 
 def env_name(env: Env) -> str:
-    """The name of the environment's class, whatever wraps it."""
+    """Return the name of the environment's class, without its wrappers."""
     return (env if isinstance(env, type) else type(getattr(env, "unwrapped", env))).__name__
 
 
 def env_sizes(env: Env) -> tuple[int, int]:
-    """Sizes n and p of observations and actions.
+    """Return the sizes n and p of observations and actions.
 
-    Under a trace, because Brax's own environments simulate a reset to tell theirs: operation by
-    operation that takes half a minute with MJX.
+    They are computed under a trace, because Brax's own environments simulate a reset to find their
+    size. With MJX and without a trace that takes half a minute.
     """
     n, p = jax.eval_shape(lambda: jnp.zeros((env.observation_size, env.action_size))).shape
     return n, p
 
 
+def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
+    """Return the lowest and highest action, ``(p,)`` each; Brax's are −1 and 1."""
+    ones = jnp.ones(env.action_size)
+    low, high = getattr(env, "action_low", -ones), getattr(env, "action_high", ones)
+    return jnp.asarray(low), jnp.asarray(high)
+
+
 def _changed_types(state: State, next_state: State) -> list[str]:
-    """Leaves of the state that a loop over steps could not carry."""
+    """Names of the state's leaves whose shape or type a loop over steps cannot carry."""
     before, after = (
         {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
         for leaves, _ in map(jax.tree_util.tree_flatten_with_path, (state, next_state))
@@ -90,10 +93,3 @@ def _changed_types(state: State, next_state: State) -> list[str]:
         # A plain Python number has a weak type, which JAX adapts.
         or (before[name].dtype != after[name].dtype and not before[name].weak_type)
     ]
-
-
-def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
-    """Lowest and highest action ``(p,)``; Brax's environments take actions from −1 to 1."""
-    ones = jnp.ones(env.action_size)
-    low, high = getattr(env, "action_low", -ones), getattr(env, "action_high", ones)
-    return jnp.asarray(low), jnp.asarray(high)

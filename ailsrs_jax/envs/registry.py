@@ -1,9 +1,7 @@
 """Tasks by name."""
 
 import functools
-import importlib
 import inspect
-import operator
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +17,8 @@ from ailsrs_jax.envs.tasks.humanoid import Humanoid
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.envs.tasks.swimmer import Swimmer
 from ailsrs_jax.envs.tasks.walker2d import Walker2d
-from ailsrs_jax.errors import UserError, did_you_mean, one_line
+from ailsrs_jax.errors import UserError, did_you_mean, refusing
+from ailsrs_jax.own_code import is_own, load_own
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -34,12 +33,12 @@ OWN_PHYSICS = "the environment's own"
 
 
 class OpenEnv(NamedTuple):
-    """An environment and what a run writes down of it."""
+    """An environment, and the facts about it that a run records."""
 
     env: Env
     env_id: str
     engine: str
-    reason: str  # for this engine, for people to read
+    reason: str  # why this engine was chosen, for people to read
 
 
 def short_name(env_id: str) -> str:
@@ -48,7 +47,7 @@ def short_name(env_id: str) -> str:
 
 
 def resolve_env_id(name: str) -> str:
-    """Return the id that ``name`` stands for: Gymnasium's, or ``module:attribute`` as it is.
+    """Return the Gymnasium id that ``name`` stands for; ``module:attribute`` stays as it is.
 
     Raises:
         UserError: there is no such task.
@@ -56,18 +55,18 @@ def resolve_env_id(name: str) -> str:
     for env_id in TASKS:
         if name in (env_id, short_name(env_id)):
             return env_id
-    if ":" in name:
+    if is_own(name):
         return name
     known = ", ".join(map(short_name, TASKS))
-    nearby = TASKS if name[:1].isupper() else map(short_name, TASKS)
+    similar = did_you_mean(name, TASKS if name[:1].isupper() else map(short_name, TASKS))
     raise UserError(
-        f"unknown environment '{name}'{did_you_mean(name, nearby)}: use one of {known}, or "
-        "module:attribute for one of your own; or, in Python, hand in the environment itself as env"
+        f"unknown environment '{name}'{similar}: use one of {known}, or module:attribute for your "
+        "own; in Python, pass the environment itself as env"
     )
 
 
 def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
-    """Build a task, a ``brax.envs.base.Env``.
+    """Make an environment, a ``brax.envs.base.Env``.
 
     >>> import ailsrs_jax as ail
     >>> env = ail.make_env("hopper", "mujoco", terminate_when_unhealthy=False)
@@ -75,28 +74,31 @@ def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
     (11, 3)
 
     Args:
-        name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``; or one's own task as
+        name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``; or your own task as
             ``module:attribute``, a class or function that returns an environment.
-        physics: ``mjx``, ``mujoco``, or ``auto``: MJX where JAX has an accelerator, else MuJoCo's
-            C engine. One's own task receives it if it has a parameter ``physics``.
+        physics: ``mjx``, ``mujoco``, or ``auto``: MJX where JAX has an accelerator, otherwise
+            MuJoCo's C engine. Your own task receives it if it has a parameter ``physics``.
         flags: the constructor flags of the task.
 
     Raises:
-        UserError: unknown task, engine, flag or model file, or not an environment.
+        UserError: the task, engine, flag or model file is unknown, or the result is not an
+            environment.
     """
     env_id = resolve_env_id(name)
     return _make(env_id, _factory(env_id), physics, **flags)
 
 
 def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
-    """The environment called ``env``, or ``env`` itself if it is one, checked.
+    """Return the environment called ``env``, or ``env`` itself if it is one, after checking it.
 
     Raises:
-        UserError: it is unknown or cannot be trained in, or ``physics`` is not its to choose.
+        UserError: it is unknown, cannot be trained in, or does not let ``physics`` be chosen.
     """
     if not isinstance(env, str):
         if physics != "auto":
-            raise UserError(f"physics '{physics}' is for tasks by name: an environment has its own")
+            raise UserError(
+                f"physics '{physics}' needs a task by name: an environment has its own physics"
+            )
         require_env(env)
         return OpenEnv(env, env_name(env), _engine(env), OWN_PHYSICS)
     env_id, (_, reason) = resolve_env_id(env), choose_engine(physics)
@@ -108,7 +110,7 @@ def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
 
 
 def takes_physics(name: str) -> bool:
-    """Whether it is for the caller to choose the physics engine of the task ``name``.
+    """Whether the caller can choose the physics engine of the task ``name``.
 
     Raises:
         UserError: there is no such task.
@@ -117,12 +119,13 @@ def takes_physics(name: str) -> bool:
 
 
 def require_harmless(env_id: str, source: str) -> None:
-    """Raise UserError unless ``env_id``, as a file names it, is safe to look up and to call.
+    """Raise UserError unless it is safe to look up and call ``env_id``, which a file names.
 
-    A person may name anything. A file could be a stranger's, and name what does harm: so it has to
-    be a task of ours, something in the current directory, or an environment's class.
+    People may name anything on the command line. A file may come from a stranger and name something
+    harmful, so it must name one of this package's tasks, something in the current directory, or the
+    class of an environment.
     """
-    if env_id in TASKS or ":" not in env_id:
+    if env_id in TASKS or not is_own(env_id):
         return
     parts = env_id.partition(":")[0].split(".")
     path = Path.cwd().joinpath(*parts)
@@ -134,33 +137,29 @@ def require_harmless(env_id: str, source: str) -> None:
         if isinstance(factory, type) and issubclass(factory, Env):
             return
     raise UserError(
-        f"{source} is of {env_id}, which is no module in the current directory: it could do "
-        "anything, so it is not looked up; in Python, hand in the environment as env"
+        f"{source} names {env_id}, which is not a module in the current directory and could do "
+        "anything, so it is not imported; in Python, pass the environment as env"
     )
 
 
 def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:
-    try:
-        if _takes_physics(factory):
-            flags["physics"] = physics
-        elif physics != "auto":
-            raise UserError(f"{env_id} has no parameter physics: leave '{physics}' out")
+    if _takes_physics(factory):
+        flags["physics"] = physics
+    elif physics != "auto":
+        raise UserError(f"{env_id} has no parameter physics: leave '{physics}' out")
+    if env_id in TASKS:
+        unknown = flags.keys() - inspect.signature(factory).parameters
+        if unknown:
+            raise UserError(f"{env_id} has no flag {', '.join(sorted(unknown))}")
+        return factory(**flags)
+    with refusing(env_id):
         env = factory(**flags)
-    except UserError:
-        raise
-    except Exception as error:
-        if env_id not in TASKS:  # whatever somebody else's code stumbles over
-            raise UserError(f"{env_id}: {one_line(error)}") from error
-        if isinstance(error, TypeError) and "unexpected keyword" in str(error):
-            raise UserError(f"{env_id}: {str(error).split(') ', 1)[-1]}") from error
-        raise
-    if env_id not in TASKS:
-        require_env(env)
+    require_env(env)
     return env
 
 
-# So that the policies of a run are evaluated in one environment, compiled once. The factory is in
-# the key because a module that was edited and reloaded has another one under the same name.
+# All policies of a run are evaluated in one environment, which is compiled once. The factory is
+# part of the key: a module that was edited and reloaded has a new one under the same name.
 _make_once = functools.lru_cache(maxsize=4)(_make)
 
 
@@ -173,15 +172,10 @@ def _engine(env: Env) -> str:
 
 
 def _factory(env_id: str) -> Callable[..., Env]:
-    """What makes the task; of one's own, the attribute of a module in the current directory."""
+    """Return the class or function that makes the task."""
     if env_id in TASKS:
         return TASKS[env_id]
-    module_name, _, attribute = env_id.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # as for "python -m"
-    try:
-        factory = operator.attrgetter(attribute)(importlib.import_module(module_name))
+    factory = load_own(env_id)
+    with refusing(f"cannot call {env_id}"):
         inspect.signature(factory)
-    except Exception as error:  # somebody else's module may raise anything
-        raise UserError(f"cannot find {env_id}: {one_line(error)}") from error
     return factory

@@ -4,13 +4,8 @@ import importlib.util
 import os
 from pathlib import Path
 
-from ailsrs_jax.data.policies import (
-    FORMATS,
-    SavedPolicy,
-    load_policy,
-    policy_files,
-    require_format,
-)
+from ailsrs_jax.data.formats.policy import FORMATS, require_format
+from ailsrs_jax.data.policies import SavedPolicy, load_policy, policy_files
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.errors import UserError

@@ -95,15 +95,15 @@ class SweepResults:
         return [cell for cell in self.cells if cell.done]
 
 
-# The tables and their columns, for writing and for reading.
-RESULTS_FILE, CURVES_FILE, TIMINGS_FILE = "results.csv", "curves.csv", "timings.csv"
-RESULT_COLUMNS = tuple(get_type_hints(CellResult))
-TIMING_COLUMNS = ("cell", *get_type_hints(Timing))
 _CURVE = ("iteration", "env_steps", "evaluation_return")  # the arrays of a Curve
-CURVE_COLUMNS = (
-    *("cell", *_CURVE, "evaluation_length"),
-    *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
-)
+COLUMNS = {  # of each table, by the name of its file
+    "results.csv": tuple(get_type_hints(CellResult)),
+    "curves.csv": (
+        *("cell", *_CURVE, "evaluation_length"),
+        *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
+    ),
+    "timings.csv": ("cell", *get_type_hints(Timing)),
+}
 
 # A finished cell has a finite number in each of these columns.
 _MEASURED = (
@@ -119,7 +119,7 @@ def read_results(directory: Path) -> SweepResults:
         UserError: a table cannot be read, lacks a column, or holds a wrong or missing value.
     """
     cells: dict[str, CellResult] = {}
-    for where, row in read_table(directory / RESULTS_FILE, RESULT_COLUMNS):
+    for where, row in read_table(directory / "results.csv", COLUMNS["results.csv"]):
         cell = _parse(CellResult, where, row)
         if cell.cell in cells:
             raise UserError(f"{where}: cell {cell.cell} is there twice")
@@ -128,11 +128,11 @@ def read_results(directory: Path) -> SweepResults:
                 raise UserError(f"{where}: {name} of a cell that is done is '{row[name]}'")
         cells[cell.cell] = cell
     curves: dict[str, list[list[float]]] = {}
-    for where, row in read_table(directory / CURVES_FILE, ("cell", *_CURVE)):
+    for where, row in read_table(directory / "curves.csv", ("cell", *_CURVE)):
         curves.setdefault(row["cell"], []).append([_number(where, x, row[x]) for x in _CURVE])
     timings = {
         row["cell"]: _parse(Timing, where, row)
-        for where, row in read_table(directory / TIMINGS_FILE, TIMING_COLUMNS)
+        for where, row in read_table(directory / "timings.csv", COLUMNS["timings.csv"])
     }
     return SweepResults(
         cells=tuple(cells.values()),

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 
 from ailsrs_jax.envs.physics import ENGINES
-from ailsrs_jax.envs.registry import require_harmless, takes_physics
+from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 from ailsrs_jax.files import read_small
 from ailsrs_jax.own_code import is_here, is_own
@@ -22,7 +22,6 @@ from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.sweeps.cells import Cell, Sweep
-from ailsrs_jax.trainers.algorithms import changed_settings
 from ailsrs_jax.trainers.parts.settings import as_text
 
 # Keys of a grid entry with the type of their values, which are fields of RunSpec. Each may be a
@@ -157,21 +156,22 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
     planned = plan(dataclasses.replace(asked, seeds=asked.seeds[:1]))
     jax.eval_shape(lambda: (planned.make_trainer(), 0)[1])  # checks the rest at no cost
     config = planned.config
-    all_settings = dataclasses.asdict(config.settings)
-    settings = changed_settings(config.env_id, config.preset, config.algorithm, all_settings)
     spec = dataclasses.replace(
-        asked, env=config.env_id, num_trajectories=config.num_trajectories, settings=settings
+        asked,
+        env=config.env_id,
+        num_trajectories=config.num_trajectories,
+        settings=planned.spec.settings,
     )
-    has_choice = config.physics in ENGINES and takes_physics(config.env_id)
+    name = _name(spec)
+    if config.physics in ENGINES:  # so that "auto" means the same on all machines
+        spec = dataclasses.replace(spec, physics=planned.spec.physics)
     is_expert = config.source is None or config.source.kind == "expert"
     return [
         Cell(
-            name=f"{_name(spec)}-seed{seed}",
+            name=f"{name}-seed{seed}",
             label=label or planned.algorithm.title,
-            spec=dataclasses.replace(
-                spec, physics=config.physics if has_choice else spec.physics, seeds=(seed,)
-            ),
-            all_settings=all_settings,
+            spec=dataclasses.replace(spec, seeds=(seed,)),
+            all_settings=dataclasses.asdict(config.settings),
             engine=config.physics,
             program=hashlib.sha256(repr(stack_key(planned)).encode()).hexdigest()[:12],
             demonstrations_sha256=None if is_expert else config.demonstrations_sha256,

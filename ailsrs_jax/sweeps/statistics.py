@@ -123,26 +123,16 @@ def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
     for group in groups:
         if scores([group]):
             by_series.setdefault(group.series, []).append(group)
-    tasks = _shared({group.env_id for group in mine} for mine in by_series.values())
-    conditions = _shared(
-        {group.condition for group in mine}
-        for mine in by_series.values()
-        if mine[0].num_trajectories is not None
-    )
-    return {
-        series: [
-            group
-            for group in mine
-            if group.env_id in tasks
-            and (group.num_trajectories is None or group.condition in conditions)
-        ]
-        for series, mine in by_series.items()
-    }
+
+    def is_shared(group: Group) -> bool:
+        return all(any(_match(group, one) for one in mine) for mine in by_series.values())
+
+    return {series: list(filter(is_shared, mine)) for series, mine in by_series.items()}
 
 
-def _shared(sets: Iterable[set[Any]]) -> set[Any]:
-    sets = list(sets)
-    return set.intersection(*sets) if sets else set()
+def _match(one: Group, other: Group) -> bool:
+    numbers = {one.num_trajectories, other.num_trajectories}
+    return one.env_id == other.env_id and (len(numbers) == 1 or None in numbers)
 
 
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:

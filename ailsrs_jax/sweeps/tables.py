@@ -24,17 +24,7 @@ from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.results import (
-    CURVE_COLUMNS,
-    CURVES_FILE,
-    DONE,
-    NOT_RUN,
-    RESULT_COLUMNS,
-    RESULTS_FILE,
-    TIMING_COLUMNS,
-    TIMINGS_FILE,
-    read_table,
-)
+from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table
 from ailsrs_jax.trainers.parts.settings import as_text
 
 ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
@@ -189,9 +179,9 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
         seen = json.dumps([rows, timings])  # as text, because NaN is not equal to itself
         if seen == written:
             return rows
-        _write_csv(output / RESULTS_FILE, RESULT_COLUMNS, rows)
-        _write_csv(output / CURVES_FILE, CURVE_COLUMNS, _curves(output, rows))
-        _write_csv(output / TIMINGS_FILE, TIMING_COLUMNS, timings)
+        _write_csv(output / "results.csv", rows)
+        _write_csv(output / "curves.csv", _curves(output, rows))
+        _write_csv(output / "timings.csv", timings)
         written = seen
 
 
@@ -202,9 +192,9 @@ def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
                 yield {"cell": row["cell"]} | fields
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[TableRow]) -> None:
+def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
     text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS[path.name], extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_atomically(path, lambda file: file.write(text.getvalue().encode()))

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.episodes import make_episode, stack
+from ailsrs_jax.data.episodes import stack
+from ailsrs_jax.data.formats.episodes import make_episode
 from ailsrs_jax.errors import UserError
 
 
@@ -45,7 +46,7 @@ def test_contradictions_are_named(message: str, change: dict) -> None:
     assert str(caught.value).startswith("there: episode 7: ")
 
 
-def test_episodes_have_to_be_of_the_same_sizes() -> None:
+def test_episodes_of_different_sizes_are_refused() -> None:
     episodes = [
         make_episode(np.zeros((2, n)), np.zeros((1, 1)), np.zeros(1), "episode") for n in (2, 3)
     ]
@@ -54,7 +55,7 @@ def test_episodes_have_to_be_of_the_same_sizes() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_what_is_not_finite_is_refused(value: float) -> None:
+def test_nan_and_infinity_are_refused(value: float) -> None:
     observations = np.zeros((3, 2))
     observations[1, 1] = value
     episode = make_episode(observations, np.zeros((2, 1)), np.zeros(2), "episode")

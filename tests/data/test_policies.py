@@ -17,7 +17,7 @@ def fields() -> dict[str, np.ndarray]:
     }
 
 
-def test_action_by_hand_after_the_disk(tmp_path) -> None:
+def test_actions_of_a_loaded_policy(tmp_path) -> None:
     SavedLinearPolicy(**fields()).save(tmp_path / "policy.npz")
     policy = load_policy(tmp_path / "policy.npz")
     np.testing.assert_allclose(policy(np.array([3.0, 1.0])), [3.0])
@@ -60,7 +60,7 @@ def mlp_fields() -> dict[str, np.ndarray]:
     }
 
 
-def test_a_neural_policy_comes_back_from_the_disk(tmp_path) -> None:
+def test_a_neural_policy_survives_saving_and_loading(tmp_path) -> None:
     np.savez(tmp_path / "a.npz", **mlp_fields())
     policy = load_policy(tmp_path / "a.npz")
     policy.save(tmp_path / "b.npz")
@@ -73,7 +73,7 @@ def test_a_neural_policy_comes_back_from_the_disk(tmp_path) -> None:
     np.testing.assert_allclose(policy(x), np.clip(output, -1, 4))
 
 
-def test_drawn_actions_have_the_policys_spread(tmp_path) -> None:
+def test_drawn_actions_have_the_right_spread(tmp_path) -> None:
     np.savez(tmp_path / "a.npz", **mlp_fields() | {"action_low": np.array([-99.0])})
     policy = load_policy(tmp_path / "a.npz")
     rng = np.random.default_rng(1)
@@ -97,7 +97,7 @@ WRONG_MLP = {
     "mean is (4,), not (2,)": {"mean": np.ones(4)},
     "action_std is (2,), not (1,)": {"action_std": np.ones(2)},
     "weights_1 is not made of finite": {"weights_1": np.full((1, 4), np.inf)},
-    "weights are (0, 2): there is nothing in them": {"weights_0": np.ones((0, 2))},
+    "weights are (0, 2): they are empty": {"weights_0": np.ones((0, 2))},
 }
 
 
@@ -117,19 +117,19 @@ def test_an_expert_ships_for_the_task(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "Walker2d-v5"])
-def test_the_papers_level_is_another_expert_only_where_ours_is_beyond_it(env_id: str) -> None:
+def test_the_paper_has_its_own_expert_only_where_ours_is_better(env_id: str) -> None:
     of_paper = expert_path(env_id, of_paper=True)
     assert load_policy(of_paper).env_id == env_id
     assert (of_paper == expert_path(env_id)) == (env_id == "Hopper-v5")
 
 
-def test_a_missing_expert_is_said_to_be_missing() -> None:
+def test_a_missing_expert_is_refused() -> None:
     with pytest.raises(UserError, match=r"no expert of my:Task ships .* --demonstrations"):
         expert_path("my:Task")
 
 
 @pytest.mark.parametrize("kind", ["linear", "neural"])
-def test_a_batch_is_one_observation_after_the_other(kind: str, tmp_path) -> None:
+def test_a_batch_gives_the_actions_of_its_observations(kind: str, tmp_path) -> None:
     np.savez(tmp_path / "a.npz", **(fields() if kind == "linear" else mlp_fields()))
     policy = load_policy(tmp_path / "a.npz")
     observations = np.random.default_rng(0).normal(size=(5, 2))
@@ -146,8 +146,8 @@ def test_an_observation_of_another_size_is_refused(shape: tuple[int, ...]) -> No
         policy(np.zeros(shape))
 
 
-def test_predict_draws_from_a_stochastic_policy_alone(tmp_path) -> None:
-    """As Stable-Baselines3's set_random_seed makes it reproducible."""
+def test_predict_draws_from_stochastic_policies_only(tmp_path) -> None:
+    """Draws are reproducible with Stable-Baselines3's set_random_seed."""
     np.savez(tmp_path / "a.npz", **mlp_fields())
     policy = load_policy(tmp_path / "a.npz")
     observations = np.zeros((4, 2))

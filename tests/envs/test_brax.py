@@ -1,4 +1,4 @@
-"""Our tasks are Brax environments: its wrappers and trainers take them as they are."""
+"""The tasks are Brax environments: Brax's wrappers and trainers accept them."""
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +14,20 @@ def test_brax_wrappers_reset_episodes_that_end() -> None:
     env = make_env("hopper", "mujoco")
     assert isinstance(env, Env)
     wrapped = training.wrap(env, episode_length=15)
-    # Brax reads the batch size off the old kind of key.
+    # Brax needs the old kind of key to find the batch size.
     state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
     first = state.obs
     step, ended = jax.jit(wrapped.step), jnp.zeros(3, bool)
     for _ in range(15):
         state = step(state, 0.1 * jnp.ones((3, 3)))
         ended |= state.done == 1
-    assert bool(ended.all())  # of time, if nothing else
+    assert bool(ended.all())  # at the time limit, if not before
     assert bool(jnp.isfinite(state.obs).all())
     assert bool((jnp.abs(state.obs - first) < 1e-6).all(axis=1).any())
 
 
-def test_brax_trainers_evaluate_on_our_tasks() -> None:
-    """Its evaluator counts the reward among the state's metrics, which a step has to keep."""
+def test_brax_evaluates_on_the_tasks() -> None:
+    """Brax's evaluator adds the reward to the state's metrics, which a step must keep."""
     env = make_env("swimmer", "mujoco")
     evaluator = Evaluator(
         training.wrap(env, episode_length=10),

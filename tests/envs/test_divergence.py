@@ -1,4 +1,4 @@
-"""What counts as diverged, and that MuJoCo's silent reset does not happen."""
+"""Detection of divergence; MuJoCo does not reset diverging simulations."""
 
 import re
 from pathlib import Path
@@ -29,7 +29,7 @@ numbers = st.one_of(st.floats(-1e3, 1e3, width=32), st.floats(width=32))
     after=st.lists(numbers, min_size=2, max_size=2),
     reward=numbers,
 )
-def test_a_number_that_is_not_finite_or_too_large(before, action, after, reward) -> None:
+def test_nan_and_large_numbers_count_as_diverged(before, action, after, reward) -> None:
     states = (
         State(None, jnp.float32(obs), jnp.float32(reward), jnp.zeros(())) for obs in (before, after)
     )
@@ -39,10 +39,10 @@ def test_a_number_that_is_not_finite_or_too_large(before, action, after, reward)
     assert bool(has_diverged(state, jnp.float32(action), next_state)) == expected
 
 
-def test_mujoco_would_start_again_without_a_word_and_here_does_not(
+def test_diverging_simulations_are_not_reset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In Gymnasium a cheetah that explodes is back in its initial pose, and the episode goes on."""
+    """In Gymnasium an exploding cheetah returns to its initial pose, and the episode goes on."""
     monkeypatch.chdir(tmp_path)
     assert gymnasium.__file__ is not None
     model = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "half_cheetah.xml"
@@ -62,18 +62,18 @@ def test_mujoco_would_start_again_without_a_word_and_here_does_not(
             diverged.append(bool(has_diverged(before, action, state)))
             observation, *_ = theirs.step(action)
             assert np.isfinite(observation).all()
-    assert theirs.data.time < 7 * env.dt  # its clock started again,
-    assert any(diverged)  # where ours says so,
-    assert all(diverged[diverged.index(True) :])  # for good.
+    assert theirs.data.time < 7 * env.dt  # Gymnasium's simulation was reset;
+    assert any(diverged)  # ours is reported as diverged,
+    assert all(diverged[diverged.index(True) :])  # and stays so
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 @pytest.mark.parametrize("readings", [(), ("cfrc_ext",)])
-def test_what_mujoco_finds_unstable_is_nan(readings: tuple[str, ...]) -> None:
-    """In both pools of the C engine; a simulation beside it goes on."""
+def test_unstable_simulations_become_nan(readings: tuple[str, ...]) -> None:
+    """In both pools of the C engine; other simulations of the batch go on."""
     model = mujoco.MjModel.from_xml_string(STIFF_SLIDER)
     physics = make_physics("mujoco", model, 4, readings)
-    assert not model.opt.disableflags  # of the caller's
+    assert not model.opt.disableflags  # the caller's model is unchanged
 
     def simulate(position: jax.Array) -> jax.Array:
         state = physics.init(position[None], jnp.zeros(1))
@@ -89,5 +89,5 @@ def test_what_mujoco_finds_unstable_is_nan(readings: tuple[str, ...]) -> None:
     assert float(inside[-1]) > float(inside[0])
     finite = np.isfinite(outside)
     assert not finite[-1]
-    assert (np.diff(finite.astype(int)) <= 0).all()  # never again
+    assert (np.diff(finite.astype(int)) <= 0).all()  # NaN from then on
     assert np.abs(outside[finite]).max() <= mujoco.mjMAXVAL

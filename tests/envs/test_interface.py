@@ -1,4 +1,4 @@
-"""Which environments are taken, and what is said of the others."""
+"""Environments that are accepted, and the messages about others."""
 
 import dataclasses
 from collections.abc import Callable
@@ -43,7 +43,7 @@ def changed(
 
 @struct.dataclass
 class DuckState:
-    """As MuJoCo Playground has a State of its own."""
+    """A state of its own, like MuJoCo Playground's."""
 
     data: Any
     obs: jax.Array
@@ -52,7 +52,7 @@ class DuckState:
 
 
 class Duck:
-    """No Brax environment by birth; its sizes are the object's, not the class's."""
+    """An environment that does not derive from Brax's, with sizes set on the instance."""
 
     def __init__(self, shape: tuple[int, ...] = (3,)) -> None:
         self.observation_size, self.action_size, self.shape = 3, 2, shape
@@ -81,18 +81,18 @@ FINE = {
 
 
 @pytest.mark.parametrize("env", FINE.values(), ids=FINE)
-def test_taken(env: Any) -> None:
+def test_accepted(env: Any) -> None:
     require_env(env)
     n, p = env_sizes(env)
     assert (n, p) == (*env.reset(jax.random.key(0)).obs.shape, env.action_size)
-    # More episodes than slots: what was reset and what was stepped have to fit together.
+    # With more episodes than slots, states from reset and from step are mixed.
     policy = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
     policies = policy.with_weights(jnp.ones((3, p, n)))
     episodes = simulate(env, policies, jax.random.split(jax.random.key(1), 3), 4, batch_size=2)
     assert episodes.lengths.tolist() == [4, 4, 4]
 
 
-def test_a_wrapped_environment_keeps_its_name() -> None:
+def test_the_name_of_a_wrapped_environment() -> None:
     assert env_name(training.EpisodeWrapper(PointMass(), 10, 1)) == "PointMass"
     assert env_name(Duck()) == "Duck"
 

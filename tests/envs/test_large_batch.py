@@ -1,4 +1,4 @@
-"""JAX 0.10 waits for ever in MJX with more than some 900 environments on a 2-core CPU."""
+"""JAX 0.10 deadlocks in MJX with more than some 900 environments on a 2-core CPU."""
 
 import subprocess
 import sys

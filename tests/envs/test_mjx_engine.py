@@ -7,7 +7,7 @@ from ailsrs_jax.envs.registry import make_env
 
 
 def test_two_steps_are_those_of_mjx() -> None:
-    """Runge-Kutta in one loop, and what is carried from step to step."""
+    """Checks the Runge-Kutta loop and the state carried from step to step."""
     engine = make_env("swimmer", "mjx").physics
     model, nv = mjx.put_model(engine.model), engine.model.nv
     qpos, qvel = 0.1 * jnp.arange(nv), jnp.linspace(-1.0, 1.0, nv)

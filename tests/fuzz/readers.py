@@ -1,64 +1,34 @@
-"""The table of all readers, with what is handed to them."""
+"""The table of all readers; a reader of another kind of file is another line in it."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.fuzz.archives import (
-    demonstration_arrays,
-    make_npz,
-    make_safetensors,
-    policy_arrays,
-    read_demonstrations,
-    read_policy,
-    read_safetensors_policy,
-)
-from tests.fuzz.datasets import make_imitation, make_minari, read_imitation, read_minari
-from tests.fuzz.mutations import Rng
-from tests.fuzz.run_files import (
-    make_checkpoints,
-    make_config,
-    make_metrics,
-    make_run,
-    read_card,
-    read_checkpoints,
-    read_config,
-    read_metrics,
-    read_saved_run,
-)
-from tests.fuzz.sweep_files import (
-    make_results,
-    make_spec,
-    make_sweep,
-    read_sweep,
-    read_sweep_results,
-    read_sweep_spec,
-)
+from hypothesis import strategies as st
+
+from tests.fuzz import archives, datasets, runs, sweeps
 
 
 class Reader(NamedTuple):
     """One kind of file."""
 
-    weight: int  # share of the inputs: cheap readers get more
-    make: Callable[[Path, Rng], None]  # writes a mutated file, or directory, at the path
+    inputs: int  # the number of damaged files in the test suite; slow readers get fewer
+    make: Callable[[st.DrawFn, Path], None]  # writes a damaged file or directory
     read: Callable[[Path], object]
+    package: str = "numpy"  # that it needs
 
 
-# A reader of another kind of file is another line here.
 READERS = {
-    "demonstrations": Reader(
-        30, lambda path, rng: make_npz(demonstration_arrays(), path, rng), read_demonstrations
+    "demonstrations": Reader(150, archives.make_demonstrations, archives.read_demonstrations),
+    "policy": Reader(150, archives.make_npz_policy, archives.read_policy),
+    "safetensors": Reader(
+        100, archives.make_safetensors_policy, archives.read_safetensors_policy, "safetensors"
     ),
-    "policy": Reader(30, lambda path, rng: make_npz(policy_arrays(rng), path, rng), read_policy),
-    "safetensors": Reader(20, make_safetensors, read_safetensors_policy),
-    "config": Reader(15, make_config, read_config),
-    "model card": Reader(5, make_run, read_card),
-    "metrics": Reader(10, make_metrics, read_metrics),
-    "run": Reader(5, make_run, read_saved_run),
-    "results": Reader(5, make_results, read_sweep_results),
-    "sweep spec": Reader(4, make_spec, read_sweep_spec),
-    "sweep": Reader(5, make_sweep, read_sweep),
-    "imitation": Reader(6, make_imitation, read_imitation),
-    "minari": Reader(3, make_minari, read_minari),
-    "checkpoints": Reader(1, make_checkpoints, read_checkpoints),
+    "imitation": Reader(60, datasets.make_imitation, datasets.read_imitation, "pyarrow"),
+    "minari": Reader(20, datasets.make_minari, datasets.read_minari, "minari"),
+    "run": Reader(200, runs.make_run, runs.read_files_of_run),
+    "checkpoints": Reader(4, runs.make_checkpoints, runs.read_checkpoints),
+    "results": Reader(60, sweeps.make_results, sweeps.read_sweep_results),
+    "sweep_spec": Reader(30, sweeps.make_spec, sweeps.read_sweep_spec),
+    "sweep": Reader(60, sweeps.make_sweep, sweeps.read_sweep),
 }

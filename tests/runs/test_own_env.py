@@ -92,7 +92,7 @@ def test_evaluation_has_a_time_limit_everywhere() -> None:
 def test_mistakes_are_one_line(point_mass_expert: ail.Demonstrations) -> None:
     env, policy = PointMass(), spring()
     calls = {
-        "hand in the environment itself as env": lambda: ail.evaluate(policy),
+        "pass the environment itself as env": lambda: ail.evaluate(policy),
         "unknown environment 'PointMass'": lambda: ail.demonstrate(policy, 1),
         "no expert of PointMass ships": lambda: ail.train(env),
         "are of PointMass, not of Fast": lambda: ail.train(

@@ -6,10 +6,12 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.runs import training_data
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.results import DONE
@@ -109,7 +111,7 @@ def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
         ".": "is not a file",
         "deep.toml": "is not TOML",
         "long.toml": "too long",
-        "hostile.toml": "it could do anything, so it is not looked up",
+        "hostile.toml": "could do anything, so it is not imported",
         "endless.toml": "more than 10,000 cells",
     }.items():
         with pytest.raises(ail.UserError, match=message):
@@ -185,7 +187,9 @@ def test_your_own_algorithm_is_in_the_current_directory(in_tmp_path: Path) -> No
             read_spec(Path("hostile.toml"))
 
 
-def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
+def test_another_file_of_the_same_name_is_another_sweep(
+    demonstrations: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = grid(demonstrations)
     expand(spec).save(Path("sweep/sweep.json"))
     (begun,) = load_sweep(Path("sweep/sweep.json")).cells
@@ -196,6 +200,14 @@ def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> 
         begun.make_plan()
     with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
         expand(spec).save(Path("sweep/sweep.json"))
+    swimmer = other.replace(
+        observations=np.zeros((1, 60, 8)),
+        actions=np.zeros((1, 60, 2)),
+        lengths=np.array([60]),
+        returns=np.zeros(1),
+        env_id="Swimmer-v5",
+    )
+    monkeypatch.setattr(training_data, "expert_demonstrations", lambda *_, **__: swimmer)
     (shipped,) = expand({"env": "swimmer", "grid": [{"num_trajectories": 1}]}).cells
     assert shipped.demonstrations_sha256 is None
 

@@ -12,9 +12,9 @@ from ailsrs_jax.runs.evaluation import evaluate_random
 from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.sweeps import tables
-from ailsrs_jax.sweeps.results import CURVE_COLUMNS, RESULT_COLUMNS, TIMING_COLUMNS
 from ailsrs_jax.sweeps.spec import expand
 from ailsrs_jax.sweeps.tables import finished_row, save_row, write_tables
+from tests.sweeps.synthetic_sweep import COLUMNS, CURVE_COLUMNS, TIMING_COLUMNS
 from tests.sweeps.toy_sweep import POINT_MASS, grid, quick_grid, table
 
 
@@ -25,7 +25,7 @@ def test_what_a_sweep_says(demonstrations: str) -> None:
     written = table(Path("sweep/results.csv"))
     curves = table(Path("sweep/curves.csv"))
     timings = table(Path("sweep/timings.csv"))
-    assert tuple(written[0]) == RESULT_COLUMNS
+    assert tuple(written[0]) == COLUMNS
     assert tuple(curves[0]) == CURVE_COLUMNS
     assert tuple(timings[0]) == TIMING_COLUMNS
     names = [row["cell"] for row in rows]

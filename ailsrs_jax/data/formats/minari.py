@@ -1,9 +1,10 @@
-"""Minari datasets, both ways."""
+"""Minari datasets, read and written."""
 
 import copy
 import inspect
 import shutil
 import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,96 +12,68 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
-from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.data.episodes import Recording, make_episode, stack
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.data.formats.episodes import Episode, make_episode
+from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.files import read_json_object, require_file, require_plausible
+from ailsrs_jax.own_code import is_own
 
 # Arguments of a task's constructor that change neither observations, actions nor rewards.
 RENDERING = {
-    "render_mode",
-    "width",
-    "height",
-    "camera_id",
-    "camera_name",
-    "default_camera_config",
-    "max_geom",
-    "visual_options",
+    *("render_mode", "width", "height", "camera_id", "camera_name", "default_camera_config"),
+    *("max_geom", "visual_options"),
 }
 
-LONGEST_TIME_LIMIT = 10_000  # steps; some datasets have one of 10⁹, which is none
+LONGEST_TIME_LIMIT = 10_000  # steps; some datasets state 10⁹, which means that there is no limit
 
 
-def load_minari(
-    dataset_id: str, env_id: str, num_trajectories: int | None = None
-) -> tuple[Demonstrations, int]:
-    """Read a dataset, which is downloaded first if it is not on this machine.
-
-    An episode that neither ended in a terminal state nor at the environment's time limit was cut
-    off, and is left out: nobody knows how it would have gone on.
-
-    Args:
-        dataset_id: such as ``mujoco/hopper/expert-v0``.
-        env_id: the Gymnasium environment that it has to be of, with its default arguments; or one's
-            own task, ``module:attribute``, whose dataset may leave out what it is of.
-        num_trajectories: read no more than the first so many whole episodes.
+def read_minari(dataset_id: str, env_id: str) -> tuple[int | None, Iterator[tuple[Episode, bool]]]:
+    """Open a dataset, after downloading it if necessary.
 
     Returns:
-        the demonstrations, and how many episodes were left out.
+        the time limit, if any, and an iterator over each episode and whether it is whole.
 
     Raises:
-        UserError: Minari is not installed, has no such dataset or cannot read it, it is of another
-            environment, or its contents contradict one another.
+        UserError: see :func:`~ailsrs_jax.load_minari`; the iterator raises it as well.
     """
     source = f"minari:{dataset_id}"
     minari = _import_minari()
-    try:
-        _download(minari, dataset_id)
-        _require_harmless(minari.storage.get_dataset_path(dataset_id) / "data", source)
+    with refusing(f"cannot load {source}"):
+        minari.dataset.minari_dataset.parse_dataset_id(dataset_id)  # before it is part of a path
+        directory = minari.storage.get_dataset_path(dataset_id)
+        if not directory.exists():
+            minari.download_dataset(dataset_id)
+        _require_harmless(directory / "data", source)
         dataset = minari.load_dataset(dataset_id)
-    except UserError:
-        raise
-    except Exception as error:  # the network's, the server's, or that of a damaged dataset
-        raise UserError(f"cannot load {source}: {one_line(error)}") from error
-    episodes, num_left_out = [], 0
-    try:
+    with refusing(f"{source} is damaged"):
         limit = _time_limit(dataset, env_id, source)
+    return limit, _episodes(dataset, limit, source)
+
+
+def _episodes(dataset: Any, limit: int | None, source: str) -> Iterator[tuple[Episode, bool]]:
+    with refusing(f"{source} is damaged"):
         for index, data in enumerate(dataset.iterate_episodes()):
             where = f"{source}: episode {index}"
             episode = make_episode(data.observations, data.actions, data.rewards, where)
-            length = len(episode.actions)
+            length = episode.length
             if limit is not None and length > limit:
                 raise UserError(f"{where} has {length} steps, more than the time limit, {limit}")
-            if length == limit or bool(np.ravel(data.terminations)[-1]):
-                episodes.append(episode)
-            else:
-                num_left_out += 1
-            if len(episodes) == num_trajectories:
-                break
-    except UserError:
-        raise
-    except Exception as error:  # damaged files raise whatever their readers stumble over
-        raise UserError(f"{source} is damaged: {one_line(error)}") from error
-    if not episodes:
-        raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
-    longest = max(len(episode.actions) for episode in episodes)
-    return stack(episodes, limit or 2 * longest, env_id, source), num_left_out
+            yield episode, length == limit or bool(np.ravel(data.terminations)[-1])
 
 
 def require_new_minari(dataset_id: str, env_id: str) -> None:
-    """Raise UserError unless such a dataset can be made: for asking before a long run."""
+    """Raise UserError unless such a dataset can be made; called before a long run."""
     minari = _import_minari()
-    if env_id not in gymnasium.registry and not _is_own(env_id):
+    if env_id not in gymnasium.registry and not is_own(env_id):
         raise UserError(
-            f"a Minari dataset is of one of Gymnasium's environments, or of module:attribute, not "
-            f"of {env_id}: write a .npz"
+            f"a Minari dataset needs an environment of Gymnasium's or module:attribute, not "
+            f"{env_id}: write a .npz file instead"
         )
     try:
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
         exists = minari.storage.get_dataset_path(dataset_id).exists()
     except (TypeError, ValueError):
         raise UserError(
-            f"a Minari dataset is called as hopper/mine-v0 is, not {dataset_id}"
+            f"{dataset_id} is not the name of a Minari dataset: use one like hopper/mine-v0"
         ) from None
     except OSError as error:
         raise UserError(f"cannot write minari:{dataset_id}: {error.strerror}") from error
@@ -108,64 +81,57 @@ def require_new_minari(dataset_id: str, env_id: str) -> None:
         raise UserError(f"minari:{dataset_id} exists: choose another name or version")
 
 
-def save_minari(recording: Recording, dataset_id: str) -> None:
-    """Write a new dataset of one of Gymnasium's environments, with the default arguments.
+def write_minari(
+    dataset_id: str, env_id: str, time_limit: int, episodes: Sequence[Episode]
+) -> None:
+    """Write a new dataset of ``env_id`` with the default arguments.
 
-    Of one's own task, ``module:attribute``, it has the name, but neither the code nor the ranges of
-    observations and actions.
+    An episode ended in a terminal state if it is shorter than ``time_limit``.
 
     Raises:
-        UserError: it cannot be made.
+        UserError: the dataset cannot be made.
     """
-    demonstrations = recording.demonstrations
-    if demonstrations.actions is None or demonstrations.stride != 1:
-        raise UserError("a Minari dataset holds every step, and its action")
-    require_new_minari(dataset_id, demonstrations.env_id)
+    require_new_minari(dataset_id, env_id)
     minari = _import_minari()
-    time_limit = demonstrations.observations.shape[1]
     env: EnvSpec | gymnasium.Env[Any, Any]
-    if _is_own(demonstrations.env_id):
-        env = gymnasium.Env()  # of which Minari only asks the following
-        env.spec = EnvSpec(demonstrations.env_id, max_episode_steps=time_limit)
-        sizes = (demonstrations.observations.shape[2], demonstrations.actions.shape[2])
+    if is_own(env_id):
+        env = gymnasium.Env()  # Minari reads only its spec and its spaces
+        env.spec = EnvSpec(env_id, max_episode_steps=time_limit)
+        sizes = episodes[0].observations.shape[1], episodes[0].actions.shape[1]
         boxes = (gymnasium.spaces.Box(-np.inf, np.inf, (size,)) for size in sizes)
         env.observation_space, env.action_space = boxes
     else:
-        env = copy.deepcopy(gymnasium.spec(demonstrations.env_id))
+        env = copy.deepcopy(gymnasium.spec(env_id))
         env.max_episode_steps = time_limit
+    buffers = []
+    for index, episode in enumerate(episodes):
+        is_last = np.arange(episode.length) == episode.length - 1
+        terminated = episode.length < time_limit
+        ends = {"terminations": is_last & terminated, "truncations": is_last & (not terminated)}
+        buffer = minari.data_collector.EpisodeBuffer(id=index, **episode._asdict(), **ends)
+        buffers.append(buffer)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that nobody's name and address are in it
+        with warnings.catch_warnings(action="ignore"):  # about the missing author and address
             minari.create_dataset_from_buffers(
-                dataset_id,
-                _buffers(recording, minari),
-                env=env,
-                algorithm_name="ailsrs_jax",
+                dataset_id, buffers, env=env, algorithm_name="ailsrs_jax"
             )
-    except Exception as error:  # a full disk, or what Minari finds wrong
+    except Exception as error:  # for example a full disk, or Minari's own checks
         shutil.rmtree(minari.storage.get_dataset_path(dataset_id), ignore_errors=True)
         raise UserError(f"cannot write minari:{dataset_id}: {one_line(error)}") from error
 
 
-def _download(minari: Any, dataset_id: str) -> None:
-    """Fetch the dataset, if it is not on this machine."""
-    minari.dataset.minari_dataset.parse_dataset_id(dataset_id)  # before it becomes part of a path
-    if not minari.storage.get_dataset_path(dataset_id).exists():
-        minari.download_dataset(dataset_id)
-
-
 def _require_harmless(directory: Path, source: str) -> None:
-    """Raise UserError where reading a dataset would run code, follow its links or fill the memory.
+    """Raise UserError where reading a dataset would run code, follow links or fill the memory.
 
-    Minari makes the environment, whose code the dataset names, if the spaces are not given; and
-    HDF5 can point to other files, and hold as much of nothing as one likes in a few bytes.
+    Minari makes the environment, whose code the dataset names, unless the spaces are given. HDF5
+    files can refer to other files, and a few bytes of them can unpack to any size.
     """
     import h5py
 
     metadata = read_json_object(directory / "metadata.json", "the description of a Minari dataset")
     for name in ("observation_space", "action_space"):
         if not isinstance(metadata.get(name), str):
-            raise UserError(f"{source} does not say what its {name} is")
+            raise UserError(f"{source} does not define its {name}")
     if metadata.get("data_format") != "hdf5":
         raise UserError(f"{source} is not in the format hdf5, the only one that is read")
     path = directory / "main_data.hdf5"
@@ -173,7 +139,7 @@ def _require_harmless(directory: Path, source: str) -> None:
     sizes, problems = [], []
 
     def visit(name: str, item: Any) -> None:
-        if h5py.h5o.get_info(item.id).rc > 1:  # each is visited once, but read as often as named
+        if h5py.h5o.get_info(item.id).rc > 1:  # visited once here, but read once for each name
             problems.append(f"has several names for {name!a}")
         if isinstance(item, h5py.Dataset):
             sizes.append(item.nbytes)
@@ -191,29 +157,8 @@ def _require_harmless(directory: Path, source: str) -> None:
             raise UserError(f"{source} {problems[0]}")
         num_episodes = metadata.get("total_episodes")
         if not (isinstance(num_episodes, int) and 0 <= num_episodes <= len(file)):
-            raise UserError(f"{source} does not hold the number of episodes that it says")
+            raise UserError(f"{source} does not hold the number of episodes that it states")
     require_plausible(sum(sizes), path.stat().st_size, source)
-
-
-def _buffers(recording: Recording, minari: Any) -> list[Any]:
-    demonstrations = recording.demonstrations
-    assert demonstrations.actions is not None
-    time_limit = demonstrations.observations.shape[1]
-    buffers = []
-    for index, length in enumerate(np.asarray(demonstrations.lengths)):
-        final = recording.final_observations[index]
-        is_last = np.arange(length) == length - 1
-        buffers.append(
-            minari.data_collector.EpisodeBuffer(
-                id=index,
-                observations=np.vstack([demonstrations.observations[index, :length], final]),
-                actions=demonstrations.actions[index, :length],
-                rewards=recording.env_rewards[index, :length],
-                terminations=is_last & (length < time_limit),
-                truncations=is_last & (length == time_limit),
-            )
-        )
-    return buffers
 
 
 def _import_minari() -> Any:
@@ -225,10 +170,10 @@ def _import_minari() -> Any:
 
 
 def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
-    """The time limit in steps, if any, of the dataset's environment, which has to be ``env_id``."""
+    """Check that the dataset is of ``env_id``, and return the time limit in steps, if any."""
     spec = dataset.env_spec
-    if spec is None and not _is_own(env_id):
-        raise UserError(f"{source} does not say which environment it is of")
+    if spec is None and not is_own(env_id):
+        raise UserError(f"{source} does not name its environment")
     if spec is not None:
         _require_same_task(spec, env_id, source)
     for name in ("observation_space", "action_space"):
@@ -239,31 +184,25 @@ def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
     return None if limit is None or limit > LONGEST_TIME_LIMIT else int(limit)
 
 
-def _is_own(env_id: str) -> bool:
-    """Whether it is called ``module:attribute``; no module is imported."""
-    return ":" in env_id
-
-
 def _require_same_task(spec: EnvSpec, env_id: str, source: str) -> None:
     if spec.id != env_id:
         raise UserError(f"{source} is of {spec.id}, not of {env_id}")
-    if _is_own(env_id):
+    if is_own(env_id):
         return
     if env_id not in gymnasium.registry:
-        raise UserError(f"{source}: {env_id} is none of Gymnasium's environments")
+        raise UserError(f"{source}: Gymnasium has no environment {env_id}")
     changed = _changed_arguments(spec)
     if changed:
         raise UserError(
-            f"{source} is of {env_id} with {', '.join(changed)}: only with the default arguments "
-            "is it the same task"
+            f"{source} is of {env_id} with {', '.join(changed)}: it must have the default arguments"
         )
 
 
 def _changed_arguments(spec: EnvSpec) -> list[str]:
-    """Arguments, and wrappers, that make another task of the one registered as ``spec.id``."""
+    """Arguments and wrappers that make the task differ from the one registered as ``spec.id``."""
 
     def plain(value: Any) -> Any:
-        return list(value) if isinstance(value, tuple) else value  # as JSON knows no tuples
+        return list(value) if isinstance(value, tuple) else value  # JSON has no tuples
 
     registered = gymnasium.spec(spec.id)
     creator: Any = registered.entry_point

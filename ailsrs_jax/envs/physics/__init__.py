@@ -1,4 +1,4 @@
-"""Physics engines behind one small interface."""
+"""Physics engines with a common interface."""
 
 import jax
 import mujoco
@@ -11,7 +11,7 @@ ENGINES = ("mjx", "mujoco")
 
 
 def choose_engine(requested: str) -> tuple[str, str]:
-    """Resolve ``auto`` and return the engine's name with the reason for it, for people to read.
+    """Resolve ``auto``; return the engine's name, and why it was chosen for people to read.
 
     Raises:
         UserError: there is no such engine.
@@ -29,13 +29,13 @@ def choose_engine(requested: str) -> tuple[str, str]:
 def make_physics(
     engine: str, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
 ) -> Physics:
-    """Build the engine called ``engine`` (see :func:`choose_engine`) for ``model``.
+    """Make the engine called ``engine`` (see :func:`choose_engine`) for ``model``.
 
-    ``readings`` are the fields of ``mjData`` that its states carry beside positions and velocities.
+    Its states carry the fields ``readings`` of ``mjData`` besides positions and velocities.
     """
     name, _ = choose_engine(engine)
     if name == "mjx":
-        from ailsrs_jax.envs.physics.mjx_engine import MjxPhysics  # slow to import, often unused
+        from ailsrs_jax.envs.physics.mjx_engine import MjxPhysics  # slow to import
 
         return MjxPhysics(model, frame_skip, readings)
     from ailsrs_jax.envs.physics.mujoco_engine import MujocoPhysics

@@ -1,4 +1,4 @@
-"""What a task needs from a physics engine."""
+"""The interface between tasks and physics engines."""
 
 from typing import Protocol
 
@@ -8,18 +8,18 @@ from flax import struct
 
 
 class PhysicsState(struct.PyTreeNode):
-    """The state of one simulation: what tasks read, and what its engine alone needs to continue."""
+    """The state of one simulation: the fields that tasks read, and the engine's private state."""
 
     qpos: jax.Array  # (nq,) float32, generalised positions [m, rad]
     qvel: jax.Array  # (nv,) float32, generalised velocities [m/s, rad/s]
     carry: jax.Array  # private to the engine that made it
-    # What else the task asked for: MuJoCo's name of the field → its value, as float32. After a step
-    # these are what MuJoCo leaves, of its last integration stage rather than of the final state.
+    # The fields of mjData that the task asked for, by name, as float32. After a step MuJoCo leaves
+    # in them the values of its last integration stage, not those of the final state.
     readings: dict[str, jax.Array] = struct.field(default_factory=dict)
 
 
 class Physics(Protocol):
-    """Advances one MuJoCo model; pure, and batched by ``jax.vmap``.
+    """Simulates one MuJoCo model; its methods are pure and batched by ``jax.vmap``.
 
     Attributes:
         name: the engine's name on the command line.
@@ -34,16 +34,16 @@ class Physics(Protocol):
     readings: tuple[str, ...]
 
     def init(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
-        """Start a simulation at rest time from positions ``(nq,)`` and velocities ``(nv,)``.
+        """Start a simulation at time zero from positions ``(nq,)`` and velocities ``(nv,)``.
 
-        No force has acted yet: ``cfrc_ext`` is zero, even where bodies touch.
+        ``cfrc_ext`` is zero even where bodies touch, because no force has acted yet.
         """
         ...
 
     def step(self, state: PhysicsState, ctrl: jax.Array, live: jax.Array) -> PhysicsState:
         """Advance ``frame_skip`` physics steps under the constant controls ``ctrl (nu,)``.
 
-        ``live`` is a boolean scalar: an engine may leave a simulation that is not live as it is.
-        A simulation that MuJoCo finds unstable is not reset: sooner or later its state is NaN.
+        ``live`` is a boolean scalar; an engine may skip a simulation that is not live. A simulation
+        that MuJoCo finds unstable is not reset; its state becomes NaN sooner or later.
         """
         ...

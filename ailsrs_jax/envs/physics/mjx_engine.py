@@ -1,4 +1,4 @@
-"""MuJoCo XLA: physics as pure JAX, for GPUs and TPUs, and anywhere else."""
+"""MuJoCo XLA (MJX): physics in pure JAX, for GPUs, TPUs and CPUs."""
 
 import copy
 
@@ -11,26 +11,26 @@ from ailsrs_jax.envs.physics import plane_capsule
 from ailsrs_jax.envs.physics.base import PhysicsState
 from ailsrs_jax.errors import UserError
 
-# In float32 the default tolerance of 1e-8 is never reached, so every step runs all 100 solver and
-# 50 line-search iterations. These settings leave the error of one environment step against the C
-# engine where it was and are 3.4 times faster (tests/envs/test_gymnasium_agreement.py bounds it).
+# In float32 the default tolerance of 1e-8 is never reached, so every step would run all 100 solver
+# and 50 line-search iterations. These settings are 3.4 times faster and do not increase the error
+# of an environment step against the C engine (bounded in tests/envs/test_gymnasium_agreement.py).
 # experiments/solver_settings.py compares: with 4, 6, 8 and 100 iterations the 99th percentile of
-# the velocities' error is 5e-2, 2e-5, 2e-5 and 2e-5 rad/s on Ant, 7e-2, 1.9e-3, 1.7e-3 and 1.7e-3
-# on Humanoid, where a part is its own PGS solver's.
+# the velocities' error is 5e-2, 2e-5, 2e-5 and 2e-5 rad/s on Ant, and 7e-2, 1.9e-3, 1.7e-3 and
+# 1.7e-3 rad/s on Humanoid, where part of it is due to the C engine's PGS solver.
 SOLVER_ITERATIONS = 6
 LINE_SEARCH_ITERATIONS = 4
 SOLVER_TOLERANCE = 1e-4
 
-# The classic Runge-Kutta scheme: what each stage takes of the one before, and its weight.
+# The classic Runge-Kutta scheme: each stage's fraction of the time step, and its weight.
 STAGE_FRACTIONS = (0.0, 1 / 2, 1 / 2, 1.0)
 STAGE_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class MjxPhysics:
-    """One MuJoCo model on MJX, in float32. Of ``PhysicsState``, ``carry`` is the warm start.
+    """One MuJoCo model on MJX, in float32; ``PhysicsState.carry`` is the solver's warm start.
 
-    MJX has no PGS solver: a model that asks for it (Humanoid's) gets Newton's, which finds the same
-    minimum.
+    MJX has no PGS solver. A model that asks for it (Humanoid's) gets Newton's method, which finds
+    the same minimum.
     """
 
     name = "mjx"
@@ -38,8 +38,10 @@ class MjxPhysics:
     def __init__(
         self, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
     ) -> None:
-        if model.na:  # PhysicsState has no place for them
-            raise UserError("mjx here carries no actuator states (dyntype): use physics mujoco")
+        if model.na:  # PhysicsState has no field for them
+            raise UserError(
+                "mjx does not support actuators with a state (dyntype) here: use physics mujoco"
+            )
         plane_capsule.use_in_mjx()
         self.model = copy.copy(model)
         self.model.opt.iterations = SOLVER_ITERATIONS
@@ -66,11 +68,11 @@ class MjxPhysics:
 
     def step(self, state: PhysicsState, ctrl: jax.Array, live: jax.Array) -> PhysicsState:
         """See :class:`~ailsrs_jax.envs.physics.base.Physics`."""
-        del live  # a lane of a vector unit costs the same whether its episode is over or not
+        del live  # simulations run in lockstep, so skipping one saves nothing
 
         def physics_step(state: PhysicsState, is_last: jax.Array) -> tuple[PhysicsState, None]:
-            # Everything else in mjx.Data is recomputed from these, so the loop carries 3 vectors
-            # instead of the whole structure.
+            # The rest of mjx.Data is recomputed from these, so the loop carries 3 vectors instead
+            # of the whole structure.
             data = self._template.replace(
                 qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.carry, ctrl=ctrl
             )
@@ -87,15 +89,15 @@ class MjxPhysics:
             return jax.lax.scan(physics_step, state, is_last)[0]
 
     def _runge_kutta_step(self, start: mjx.Data) -> mjx.Data:
-        """What ``mjx.step`` does, but with all four stages in one loop.
+        """Do what ``mjx.step`` does, with all four stages in one loop.
 
-        MJX writes them out one after the other, which makes XLA compile the dynamics four times.
-        Like there, whatever is derived from the state is the last stage's in the end.
+        MJX unrolls the stages, so that XLA compiles the dynamics four times. As in MJX, derived
+        quantities are those of the last stage in the end.
         """
         timestep = self.model.opt.timestep
 
         def positions(velocity: jax.Array) -> jax.Array:
-            # Without acceleration or damping, Euler's step moves by the velocity and no more.
+            # Without acceleration and damping, Euler's step moves by the velocity only.
             moving = start.replace(qvel=velocity, qacc=jnp.zeros_like(velocity))
             return mjx.euler(self._undamped, moving).qpos
 
@@ -109,10 +111,8 @@ class MjxPhysics:
                 qvel=start.qvel + timestep * fraction * data.qacc,
             )
             data = mjx.forward(self._mjx_model, data)
-            velocity, acceleration = (
-                velocity + weight * data.qvel,
-                acceleration + weight * data.qacc,
-            )
+            velocity = velocity + weight * data.qvel
+            acceleration = acceleration + weight * data.qacc
             return (data, velocity, acceleration), None
 
         zeros = jnp.zeros_like(start.qvel)
@@ -125,7 +125,7 @@ class MjxPhysics:
         )
 
     def _read_forces_too(self, data: mjx.Data) -> dict[str, jax.Array]:
-        if "cfrc_ext" in self.readings:  # no part of a physics step
+        if "cfrc_ext" in self.readings:  # which a physics step does not compute
             data = mjx.rne_postconstraint(self._mjx_model, data)
         return self._read(data)
 

@@ -1,4 +1,4 @@
-"""MuJoCo's own C engine, one thread per core, called from inside a jitted program."""
+"""MuJoCo's C engine with one thread per core, called from inside a jitted program."""
 
 import copy
 import os
@@ -11,11 +11,11 @@ from ailsrs_jax.envs.physics.base import PhysicsState
 from ailsrs_jax.envs.physics.mujoco_pools import Readings, RolloutPool, SteppingPool
 from ailsrs_jax.envs.physics.quiet import without_warnings
 
-HostState = tuple[np.ndarray, np.ndarray, np.ndarray, Readings]  # a PhysicsState in NumPy
+HostState = tuple[np.ndarray, np.ndarray, np.ndarray, Readings]  # the fields of PhysicsState
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, which in a container can be fewer than there are."""
+    """Return the number of cores that this process may use; a container can restrict them."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -24,11 +24,11 @@ def available_cores() -> int:
 class MujocoPhysics:
     """One MuJoCo model on the C engine, in float64.
 
-    Of ``PhysicsState``, ``carry`` holds the bits of MuJoCo's float64 state as pairs of uint32, so
-    that nothing is rounded between steps although JAX computes in float32.
+    ``PhysicsState.carry`` holds the bits of MuJoCo's float64 state as pairs of uint32, so that
+    nothing is rounded between steps although JAX computes in float32.
 
-    MuJoCo, left to itself, sets a simulation that it finds unstable back to the model's initial
-    pose and goes on. Here all of its state is NaN from then on.
+    By default MuJoCo resets a simulation that it finds unstable to the model's initial pose. Here
+    its whole state is NaN from then on.
     """
 
     name = "mujoco"
@@ -106,21 +106,21 @@ class MujocoPhysics:
             controls = np.asarray(ctrl, np.float64).reshape(-1, self.model.nu)
             states, reading_rows = self._rows(full_state, new_readings)
             start_times = states[rows, 0]
-            # Programs on two Python threads may share this engine: this is one at a time, too.
+            # This also makes programs on two Python threads take turns with the engine.
             with without_warnings():
                 self._pool.step(rows, controls, states, reading_rows)
             states[rows[self._is_unstable(states[rows], start_times)]] = np.nan
         return self._unpack(full_state, new_readings)
 
     def _is_unstable(self, states: np.ndarray, start_times: np.ndarray) -> np.ndarray:
-        """``(B,)`` bool: MuJoCo did not simulate all steps, or would not simulate another."""
+        """``(B,)`` bool: MuJoCo did not simulate all steps, or would refuse the next one."""
         due = start_times + (self.frame_skip - 0.5) * self.model.opt.timestep
         moving = states[:, 1 : 1 + self.model.nq + self.model.nv]
-        # Of NaN no comparison is true.
+        # Comparisons with NaN are false.
         return ~((states[:, 0] > due) & np.all(np.abs(moving) <= mujoco.mjMAXVAL, axis=1))
 
     def _rows(self, full_state: np.ndarray, readings: Readings) -> tuple[np.ndarray, Readings]:
-        """One row for each simulation: views, so that what is written reaches the arguments."""
+        """Reshape to one row for each simulation; the rows are views of the arguments."""
         return full_state.reshape(-1, self._state_size), {
             name: values.reshape(-1, *self._reading_shapes[name])
             for name, values in readings.items()

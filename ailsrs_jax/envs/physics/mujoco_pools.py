@@ -1,8 +1,8 @@
 """Two ways to step a batch of simulations on MuJoCo's C engine, on several threads.
 
-Both work in place on rows of ``states (B, s)``, float64 in the layout of the pool's ``state_spec``
-([time, qpos, qvel, …]), and of ``readings``, a float32 array ``(B, …)`` for each field of
-``mjData`` that is read.
+Both change rows of ``states (B, s)`` and ``readings`` in place. The states are float64 in the
+layout of the pool's ``state_spec`` ([time, qpos, qvel, …]). The readings are a float32 array
+``(B, …)`` for each field of ``mjData`` that is read.
 """
 
 import threading
@@ -17,7 +17,7 @@ Readings = dict[str, np.ndarray]
 
 
 class RolloutPool:
-    """``mujoco.rollout``: all in C, but it returns nothing of ``mjData`` beside the state."""
+    """``mujoco.rollout``: entirely in C, but it returns the state only, no field of ``mjData``."""
 
     state_spec = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 
@@ -28,7 +28,7 @@ class RolloutPool:
         self._rollout = mujoco.rollout.Rollout(nthread=num_threads)
 
     def start(self, states: np.ndarray, readings: Readings) -> None:
-        """Leave the states as they are: there is nothing to read."""
+        """Do nothing: the states are complete, and there are no readings."""
 
     def step(
         self, rows: np.ndarray, controls: np.ndarray, states: np.ndarray, readings: Readings
@@ -41,9 +41,9 @@ class RolloutPool:
 
 
 class SteppingPool:
-    """Python threads with an ``mjData`` each, which make the calls of Gymnasium's ``MujocoEnv``."""
+    """Python threads, each with an ``mjData``, that make the calls of Gymnasium's ``MujocoEnv``."""
 
-    # With the solver's warm start, a simulation goes on bit for bit as if it had never left its
+    # With the solver's warm start, a simulation continues bit for bit as if it had stayed in its
     # mjData.
     state_spec = mujoco.mjtState.mjSTATE_FULLPHYSICS.value | mujoco.mjtState.mjSTATE_WARMSTART.value
 
@@ -55,18 +55,18 @@ class SteppingPool:
         self._readings = readings
         self._reads_forces = "cfrc_ext" in readings
         self._num_threads = num_threads
-        self._own = threading.local()  # what a thread simulates with
+        self._own = threading.local()  # each thread's mjData and its fields
         self._threads = ThreadPoolExecutor(num_threads, initializer=self._set_up_thread)
 
     def _set_up_thread(self) -> None:
-        """Give this thread its ``mjData``: an interrupted call can overlap the one after it."""
+        """Give this thread its own ``mjData``, as an interrupted call can overlap the next one."""
         self._own.data = mujoco.MjData(self._model)
-        # MuJoCo's fields never move: looking them up anew for every simulation would cost more
-        # than copying them.
+        # MuJoCo's fields never move, and looking them up for every simulation would cost more than
+        # copying them.
         self._own.fields = {name: getattr(self._own.data, name) for name in self._readings}
 
     def start(self, states: np.ndarray, readings: Readings) -> None:
-        """Set each simulation up as ``MujocoEnv.reset`` does: no force has acted yet."""
+        """Set up each simulation as ``MujocoEnv.reset`` does, before any force has acted."""
 
         def start_one(data: mujoco.MjData, row: int) -> None:
             mujoco.mj_resetData(self._model, data)
@@ -96,7 +96,7 @@ class SteppingPool:
         states: np.ndarray,
         readings: Readings,
     ) -> None:
-        # Shared: whichever thread is free takes the next, one at a time thanks to the GIL.
+        # All threads take rows from this iterator; the GIL makes taking one atomic.
         waiting = iter(rows.tolist())
 
         def run(_: int) -> None:
@@ -107,4 +107,4 @@ class SteppingPool:
                 for name, values in readings.items():
                     values[row] = fields[name]
 
-        list(self._threads.map(run, range(self._num_threads)))  # raises what they raise
+        list(self._threads.map(run, range(self._num_threads)))  # list() re-raises exceptions

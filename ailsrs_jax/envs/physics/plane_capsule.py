@@ -1,10 +1,10 @@
-"""The contact of a capsule and a plane, as MuJoCo's C engine has it.
+"""The contact of a capsule and a plane, computed as in MuJoCo's C engine.
 
-Friction cones are pyramids, so it matters how a contact's frame lies in the plane. The C engine
-always turns its first tangent along the capsule; MJX 3.17 does so only below 60 degrees of
-inclination and takes the y axis above (google-deepmind/mujoco issue 2774). Ant stands on such steep
-legs: from one in ten of the states that random policies visit, an environment step on MJX's frame
-ends more than 0.4 rad/s off.
+Friction cones are pyramids, so the orientation of a contact's frame in the plane matters. The C
+engine always aligns the first tangent with the capsule. MJX 3.17 does so only below 60 degrees of
+inclination and uses the y axis above (google-deepmind/mujoco issue 2774). Ant's legs are that
+steep: from one in ten of the states that random policies visit, an environment step with MJX's
+frame is wrong by more than 0.4 rad/s.
 """
 
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from mujoco.mjx._src.types import GeomType
 
 
 def plane_capsule(plane: GeomInfo, capsule: GeomInfo) -> Collision:
-    """Distances (2,), points (2, 3) and frames (2, 3, 3) where a capsule's ends meet a plane."""
+    """Distances (2,), points (2, 3) and frames (2, 3, 3) of the contacts of a capsule's ends."""
     normal, axis = plane.mat[:, 2], capsule.mat[:, 2]
     tangent, length = math.normalize_with_norm(axis - normal * jnp.dot(normal, axis))
     aligned = jnp.stack([normal, tangent, jnp.cross(normal, tangent)])
@@ -28,7 +28,7 @@ def plane_capsule(plane: GeomInfo, capsule: GeomInfo) -> Collision:
 
 
 def use_in_mjx() -> None:
-    """Put :func:`plane_capsule` in the place of MJX's own, for the whole process."""
+    """Replace MJX's own function by :func:`plane_capsule`, in the whole process."""
     collision_driver._COLLISION_FUNC[GeomType.PLANE, GeomType.CAPSULE] = collider(ncon=2)(
         plane_capsule
     )

@@ -1,4 +1,4 @@
-"""Keeping MuJoCo's C library from printing."""
+"""Silence for MuJoCo's C library."""
 
 import contextlib
 import threading
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import mujoco
 
-_one_at_a_time = threading.RLock()  # the handler is the whole process's
+_one_at_a_time = threading.RLock()  # the process has a single handler
 
 
 @contextlib.contextmanager

@@ -1,1 +1,1 @@
-"""Gymnasium's MuJoCo v5 tasks, one to a file."""
+"""Gymnasium's MuJoCo v5 tasks, one in each module, and their base classes."""

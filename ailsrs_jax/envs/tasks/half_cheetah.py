@@ -1,44 +1,19 @@
 """HalfCheetah-v5: a planar two-legged runner that cannot fall for good."""
 
+import dataclasses
+
 import jax
-import jax.numpy as jnp
 
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.envs.tasks.gymnasium_task import GymnasiumTask
 
 
-class HalfCheetah(MujocoTask):
+@dataclasses.dataclass(eq=False, kw_only=True)
+class HalfCheetah(GymnasiumTask):
     """Gymnasium's ``HalfCheetah-v5``, with its constructor flags."""
 
-    def __init__(
-        self,
-        physics: str = "auto",
-        *,
-        xml_file: str = "half_cheetah.xml",
-        frame_skip: int = 5,
-        forward_reward_weight: float = 1.0,
-        ctrl_cost_weight: float = 0.1,
-        reset_noise_scale: float = 0.1,
-        exclude_current_positions_from_observation: bool = True,
-    ) -> None:
-        super().__init__(
-            physics=physics,
-            xml_file=xml_file,
-            frame_skip=frame_skip,
-            reset_noise_scale=reset_noise_scale,
-            num_hidden_positions=int(exclude_current_positions_from_observation),
-        )
-        self._forward_reward_weight = forward_reward_weight
-        self._ctrl_cost_weight = ctrl_cost_weight
-
-    def _reward_terms(
-        self, before: PhysicsState, after: PhysicsState, action: jax.Array
-    ) -> dict[str, jax.Array]:
-        velocity = self._forward_velocity(before, after)
-        return {
-            "reward_forward": self._forward_reward_weight * velocity,
-            "reward_ctrl": -self._ctrl_cost_weight * jnp.sum(jnp.square(action)),
-        }
+    xml_file: str = "half_cheetah.xml"
+    frame_skip: int = 5
+    ctrl_cost_weight: float = 0.1
 
     def _initial_velocity(self, key: jax.Array) -> jax.Array:
-        return self._reset_noise_scale * jax.random.normal(key, (self.physics.model.nv,))
+        return self._normal_velocity(key)

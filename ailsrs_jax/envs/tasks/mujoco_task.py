@@ -1,4 +1,4 @@
-"""What Gymnasium's MuJoCo v5 tasks have in common, as a Brax environment."""
+"""The base class of MuJoCo locomotion tasks, as a Brax environment."""
 
 import importlib.util
 import os
@@ -17,16 +17,16 @@ from ailsrs_jax.errors import UserError
 
 
 class MujocoTask(Env):
-    """A locomotion task of Gymnasium v5: same model, observation, reward, reset and termination.
+    """A locomotion task with Gymnasium v5's model, observation, reward, reset and termination.
 
-    The model file is read from the installed ``gymnasium``, so it is the same by construction.
-    There is no auto-reset: ``done`` becomes 1 when the episode ends in a terminal state, and what
-    comes after is meaningless. As in Gymnasium, the time limit is not the task's business.
+    The model file is read from the installed ``gymnasium``, so it cannot differ from theirs. A task
+    neither restarts episodes nor limits their time: ``done`` becomes 1 when the episode ends in a
+    terminal state, and later states are meaningless.
 
-    It is the base of tasks of one's own, too, with any model whose actuators have a ``ctrlrange``.
-    A subclass gives the reward's terms and, where they differ, termination, reset noise and
-    observation. Actions are not clipped here; MuJoCo clamps what reaches the actuators, and the
-    control cost sees the action as given, both as in Gymnasium.
+    It is also the base class of your own tasks, with any model whose actuators have a
+    ``ctrlrange``. A subclass defines the terms of the reward and, where they differ, the
+    termination, reset noise and observation. As in Gymnasium, actions are not clipped here: MuJoCo
+    clamps the controls, and the control cost is computed from the action as given.
     """
 
     def __init__(
@@ -43,12 +43,12 @@ class MujocoTask(Env):
 
         Args:
             physics: ``auto``, ``mjx`` or ``mujoco``.
-            xml_file: a model of Gymnasium's by name, or the path of one, which begins
-                with ``/``, ``.`` or ``~``.
+            xml_file: the file name of one of Gymnasium's models, or the path of your own, which
+                begins with ``/``, ``.`` or ``~``.
             frame_skip: physics steps per environment step.
             reset_noise_scale: size of the noise on the initial positions and velocities.
-            num_hidden_positions: leading entries of ``qpos`` that the observation leaves out.
-            readings: fields of ``mjData`` that the task needs beside ``qpos`` and ``qvel``.
+            num_hidden_positions: number of leading entries of ``qpos`` that are not observed.
+            readings: fields of ``mjData`` that the task needs besides ``qpos`` and ``qvel``.
         """
         model = load_model(xml_file)
         self.physics: Physics = make_physics(physics, model, frame_skip, readings)
@@ -110,7 +110,7 @@ class MujocoTask(Env):
             obs=self._observation(after),
             reward=sum(terms.values()),
             done=self._terminated(after).astype(jnp.float32),
-            # Beside those that Brax's wrappers have put there.
+            # Brax's wrappers add metrics of their own, which are kept.
             metrics=state.metrics | terms | self._positions(after),
         )
 
@@ -118,7 +118,7 @@ class MujocoTask(Env):
     def _reward_terms(
         self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
-        """The summands of the environment's reward, under Gymnasium's names."""
+        """The terms whose sum is the environment's reward, under Gymnasium's names."""
 
     def _terminated(self, physics_state: PhysicsState) -> jax.Array:
         del physics_state
@@ -135,6 +135,9 @@ class MujocoTask(Env):
         noise = self._reset_noise_scale
         return jax.random.uniform(key, (self.physics.model.nv,), minval=-noise, maxval=noise)
 
+    def _normal_velocity(self, key: jax.Array) -> jax.Array:
+        return self._reset_noise_scale * jax.random.normal(key, (self.physics.model.nv,))
+
     def _forward_velocity(self, before: PhysicsState, after: PhysicsState) -> jax.Array:
         return (self._forward_position(after) - self._forward_position(before)) / self.dt
 
@@ -143,10 +146,10 @@ class MujocoTask(Env):
 
 
 def load_model(xml_file: str) -> mujoco.MjModel:
-    """Read a model: one of Gymnasium's by its file name, or a path of one's own.
+    """Read one of Gymnasium's models by its file name, or your own by its path.
 
     Raises:
-        UserError: there is no such file, or MuJoCo cannot read it.
+        UserError: the file does not exist, or MuJoCo cannot read it.
     """
     gymnasium = importlib.util.find_spec("gymnasium")
     assert gymnasium is not None
@@ -157,7 +160,7 @@ def load_model(xml_file: str) -> mujoco.MjModel:
     if not path.is_file():
         raise UserError(f"no model file {path}")
     try:
-        with without_warnings():  # such as that a model is old
+        with without_warnings():  # for example, that a model is outdated
             return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise UserError(f"MuJoCo cannot read {path}: {str(error).splitlines()[0]}") from error

@@ -116,7 +116,7 @@ def measure(
         episode_length=episode_length,
         behavior_cloning_start=False,
     )
-    simulator = choose_simulator(env)
+    simulator = _shared_evenly(choose_simulator(env), 2 * num_directions)
     trainer = make_ailsrs(simulator, _demonstrations(env), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
     noise_key, reset_key = jax.random.split(jax.random.key(1))
@@ -196,6 +196,14 @@ def _demonstrations(env: MujocoTask) -> Demonstrations:
     )
 
 
+def _shared_evenly(simulator: Simulator, num_episodes: int) -> Simulator:
+    """Leave out devices until the others can share the episodes evenly."""
+    mesh = simulator.mesh
+    while mesh is not None and num_episodes % mesh.size:
+        mesh = jax.sharding.Mesh(mesh.devices[:-1], mesh.axis_names)
+    return dataclasses.replace(simulator, mesh=mesh)
+
+
 def _rollout(
     trainer: Ailsrs, state: TrainState, noise_key: jax.Array, reset_key: jax.Array
 ) -> Callable[[], Episodes]:
@@ -219,9 +227,7 @@ def _bare(
     env = simulator.env
     _, exploration_key = jax.random.split(reset_key)
     keys = jax.random.split(exploration_key, (2, len(actions) // 2)).ravel()
-    # Devices get equal shares, which copies of episodes fill up, as in a simulator.
-    index = np.arange(len(keys) + -len(keys) % simulator.num_devices) % len(keys)
-    initial, actions = jax.jit(jax.vmap(env.reset))(keys[index]).pipeline_state, actions[index]
+    initial = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
     if env.physics.name == "mujoco":
         return _bare_mujoco(env, initial, actions), 0.0
 

@@ -9,7 +9,7 @@ import numpy as np
 from brax.envs.wrappers import training as wrappers
 
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.divergence import EndDiverged
+from ailsrs_jax.envs.wrappers import EndDiverged
 from ailsrs_jax.runs.experts.unit_actions import UnitActions
 from ailsrs_jax.runs.storage.metrics import IterationReport
 

@@ -8,7 +8,8 @@ import jax
 import numpy as np
 
 from ailsrs_jax.components.policy import Policy
-from ailsrs_jax.data.policies import SavedPolicy, require_format
+from ailsrs_jax.data.formats.policy import require_format
+from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError

@@ -1,4 +1,4 @@
-"""Datasets that Minari itself wrote, in a place of their own."""
+"""Datasets that Minari itself wrote, in a temporary directory."""
 
 import contextlib
 import dataclasses
@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.data.episodes import Recording
-from ailsrs_jax.data.formats.minari import load_minari, save_minari
+from ailsrs_jax.data.episodes import Recording, load_minari, save_minari
 from ailsrs_jax.errors import UserError
 
 minari = pytest.importorskip("minari")
@@ -47,7 +46,7 @@ def hopper_recording() -> Recording:
     return Recording(demonstrations, rewards, rng.normal(size=(3, 11)).astype(np.float32))
 
 
-def test_there_and_back() -> None:
+def test_a_saved_dataset_is_loaded_unchanged() -> None:
     recording = hopper_recording()
     save_minari(recording, "hopper/ours-v0")
     loaded, num_left_out = load_minari("hopper/ours-v0", "Hopper-v5")
@@ -75,7 +74,7 @@ def test_there_and_back() -> None:
         assert (episode.terminations[-1], episode.truncations[-1]) == (index != 0, index == 0)
 
 
-def test_of_ones_own_task() -> None:
+def test_a_dataset_of_your_own_task() -> None:
     recording = hopper_recording()
     ours = recording.demonstrations.replace(env_id="my_tasks:Hopper")
     save_minari(dataclasses.replace(recording, demonstrations=ours), "own/hopper-v0")
@@ -88,8 +87,8 @@ def test_of_ones_own_task() -> None:
             load_minari("own/hopper-v0", other)
 
 
-def test_of_ones_own_task_by_somebody_else() -> None:
-    """Who has no environment of Gymnasium's, and no time limit."""
+def test_a_dataset_that_names_no_environment() -> None:
+    """It can be of your own task, and has no time limit."""
     box = gymnasium.spaces.Box(-1, 1, (2,))
     episode = minari.data_collector.EpisodeBuffer(
         observations=np.zeros((4, 2), np.float32),
@@ -105,11 +104,11 @@ def test_of_ones_own_task_by_somebody_else() -> None:
     loaded, num_left_out = load_minari("own/slider-v0", "my_tasks:Slider")
     assert (loaded.env_id, num_left_out) == ("my_tasks:Slider", 0)
     assert loaded.observations.shape == (1, 6, 2)
-    with pytest.raises(UserError, match="does not say which environment"):
+    with pytest.raises(UserError, match="does not name its environment"):
         load_minari("own/slider-v0", "Hopper-v5")
 
 
-def test_only_as_many_as_are_needed() -> None:
+def test_only_the_first_episodes_are_read() -> None:
     save_minari(hopper_recording(), "hopper/ours-v0")
     loaded, _ = load_minari("hopper/ours-v0", "Hopper-v5", num_trajectories=2)
     assert loaded.lengths.tolist() == [10, 4]
@@ -134,7 +133,7 @@ def write(*episodes: Any, env: Any = None, dataset_id: str = "hopper/test-v0", *
         minari.create_dataset_from_buffers(dataset_id, list(episodes), env=env, **more)
 
 
-def test_what_was_cut_off_is_left_out() -> None:
+def test_cut_off_episodes_are_left_out() -> None:
     write(episode(6), episode(), episode(3, terminated=True), episode(9))
     loaded, num_left_out = load_minari("hopper/test-v0", "Hopper-v5")
     assert loaded.lengths.tolist() == [10, 3]
@@ -142,7 +141,7 @@ def test_what_was_cut_off_is_left_out() -> None:
     assert num_left_out == 2
 
 
-def test_a_time_limit_that_nobody_comes_near() -> None:
+def test_an_absurd_time_limit_is_ignored() -> None:
     env = gymnasium.make("Hopper-v5", max_episode_steps=10**9)
     write(episode(6, terminated=True), env=env)
     loaded, _ = load_minari("hopper/test-v0", "Hopper-v5")
@@ -160,16 +159,16 @@ WRONG = {
     "is of Walker2d-v5, not of Hopper-v5": lambda: write(
         env=gymnasium.make("Walker2d-v5", max_episode_steps=TIME_LIMIT)
     ),
-    "is of Hopper-v5 with healthy_reward=2.0: only": lambda: write(
+    "is of Hopper-v5 with healthy_reward=2.0: it must": lambda: write(
         episode(), env=gymnasium.make("Hopper-v5", healthy_reward=2.0)
     ),
     "with exclude_current_positions_from_observation=False": lambda: write(
         env=gymnasium.make("Hopper-v5", exclude_current_positions_from_observation=False)
     ),
-    "with NormalizeObservation: only": lambda: write(
+    "with NormalizeObservation: it must": lambda: write(
         episode(), env=gymnasium.wrappers.NormalizeObservation(gymnasium.make("Hopper-v5"))
     ),
-    "does not say which environment": lambda: write_without_environment(),
+    "does not name its environment": lambda: write_without_environment(),
     "its observation_space is Dict": lambda: write(
         observation_space=gymnasium.spaces.Dict({"position": gymnasium.spaces.Box(-1, 1)})
     ),
@@ -206,7 +205,7 @@ def write_without_environment() -> None:
 
 
 @pytest.mark.parametrize("message", WRONG)
-def test_what_is_wrong_is_one_line(message: str) -> None:
+def test_mistakes_are_reported_in_one_line(message: str) -> None:
     WRONG[message]()
     with pytest.raises(UserError) as caught:
         load_minari("hopper/test-v0", "Hopper-v5")
@@ -217,7 +216,7 @@ def test_what_is_wrong_is_one_line(message: str) -> None:
 
 @pytest.mark.parametrize("name", ["main_data.hdf5", "metadata.json"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.99])
-def test_damaged_files_are_one_line(name: str, share: float, datasets: Path) -> None:
+def test_damage_is_reported_in_one_line(name: str, share: float, datasets: Path) -> None:
     write(episode(), episode(4, terminated=True))
     (path,) = datasets.rglob(name)
     content = path.read_bytes()
@@ -228,7 +227,7 @@ def test_damaged_files_are_one_line(name: str, share: float, datasets: Path) -> 
 
 
 def test_code_that_a_dataset_names_is_not_run(datasets: Path) -> None:
-    """Minari makes the environment of a dataset that does not give the spaces."""
+    """Minari makes the environment of a dataset that does not define the spaces."""
     write(episode())
     (path,) = datasets.rglob("metadata.json")
     metadata = json.loads(path.read_text())
@@ -238,12 +237,12 @@ def test_code_that_a_dataset_names_is_not_run(datasets: Path) -> None:
     metadata["env_spec"] = json.dumps(spec)
     del metadata["observation_space"]
     path.write_text(json.dumps(metadata))
-    with pytest.raises(UserError, match="does not say what its observation_space is"):
+    with pytest.raises(UserError, match="does not define its observation_space"):
         load_minari("hopper/test-v0", "Hopper-v5")
     assert not (datasets / "made").exists()
-    with contextlib.suppress(Exception):  # whatever Gymnasium finds wrong then
+    with contextlib.suppress(Exception):  # Gymnasium refuses the environment afterwards
         minari.load_dataset("hopper/test-v0")
-    assert (datasets / "made").exists()  # else the test would show nothing
+    assert (datasets / "made").exists()  # so the danger is real
 
 
 def change_data(datasets: Path, change: Callable[[Any], None]) -> None:
@@ -255,7 +254,7 @@ def change_data(datasets: Path, change: Callable[[Any], None]) -> None:
         change(file["episode_0"])
 
 
-def test_data_that_points_elsewhere_or_fills_the_memory(datasets: Path) -> None:
+def test_links_and_bombs_are_refused(datasets: Path) -> None:
     h5py = pytest.importorskip("h5py")
     outside = [(str(datasets / "raw"), 0, h5py.h5f.UNLIMITED)]
     layout = h5py.VirtualLayout(shape=(10,), dtype="f4")
@@ -288,7 +287,7 @@ def test_data_that_points_elsewhere_or_fills_the_memory(datasets: Path) -> None:
         ("does not hold the number of episodes", {"total_episodes": 10**12}),
     ],
 )
-def test_descriptions_are_not_believed(message: str, change: dict, datasets: Path) -> None:
+def test_false_metadata_is_refused(message: str, change: dict, datasets: Path) -> None:
     write(episode())
     (path,) = datasets.rglob("metadata.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
@@ -298,7 +297,7 @@ def test_descriptions_are_not_believed(message: str, change: dict, datasets: Pat
         load_minari("../test-v0", "Hopper-v5")
 
 
-def test_a_dataset_that_is_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
     def unreachable(dataset_id: str) -> None:
         raise ConnectionError("no route\nto the server")
 
@@ -329,10 +328,12 @@ def test_datasets_that_cannot_be_made(datasets: Path, monkeypatch: pytest.Monkey
     )
     for message, call in {
         "hopper/ours-v0 exists": lambda: save_minari(recording, "hopper/ours-v0"),
-        "as hopper/mine-v0 is, not hopper v0": lambda: save_minari(recording, "hopper v0"),
-        "as hopper/mine-v0 is, not hopper": lambda: save_minari(recording, "hopper"),
-        "holds every step": lambda: save_minari(states_alone, "hopper/other-v0"),
-        "not of PointMass: write a .npz": lambda: save_minari(own, "hopper/other-v0"),
+        "hopper v0 is not the name of a Minari dataset": lambda: save_minari(
+            recording, "hopper v0"
+        ),
+        "use one like hopper/mine-v0": lambda: save_minari(recording, "hopper"),
+        "needs the action of every step": lambda: save_minari(states_alone, "hopper/other-v0"),
+        "not PointMass: write a .npz": lambda: save_minari(own, "hopper/other-v0"),
     }.items():
         with pytest.raises(UserError) as caught:
             call()

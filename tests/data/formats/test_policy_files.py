@@ -59,7 +59,7 @@ POLICIES = {
 
 
 class Versions:
-    """One policy from different files, in different programs; each takes float32 ``(B, n)``."""
+    """One policy in several formats and libraries; each takes float32 ``(B, n)``."""
 
     def __init__(self, policy: SavedPolicy, folder: Path) -> None:
         onnxruntime = pytest.importorskip("onnxruntime")
@@ -83,7 +83,7 @@ class Versions:
             np.testing.assert_allclose(actions, exact, rtol=0, atol=tolerance, err_msg=name)
 
     def scaled(self, scale: float) -> np.ndarray:
-        """1000 observations so many standard deviations away."""
+        """1000 observations, ``scale`` standard deviations from the mean."""
         noise = np.random.default_rng(1).normal(size=(1000, len(self.policy.mean)))
         return np.float32(self.policy.mean + scale * self.policy.std * noise)
 
@@ -93,21 +93,21 @@ def versions(request: pytest.FixtureRequest, tmp_path_factory) -> Versions:
     return Versions(POLICIES[request.param](), tmp_path_factory.mktemp("versions"))
 
 
-# What float32 cannot tell apart is far below 1e-5 up to ten standard deviations, and far beyond a
-# thousand every action, or hidden unit, is at its bound.
+# Up to ten standard deviations, rounding to float32 changes actions by far less than 1e-5. Far
+# beyond a thousand, every action or hidden unit is at its bound.
 @pytest.mark.parametrize("scale", [0, 1, 10, 1e6, 1e10, 1e20, 1e30])
-def test_actions_are_the_same_everywhere(versions: Versions, scale: float) -> None:
+def test_actions_agree(versions: Versions, scale: float) -> None:
     versions.require_near(versions.scaled(scale))
 
 
 @pytest.mark.parametrize("scale", [1e2, 1e3, 1e4])
-def test_in_between_they_are_as_near_as_float32_is(versions: Versions, scale: float) -> None:
-    """Sums of n terms, each of them rounded, that cancel to an action within its range."""
+def test_actions_agree_within_rounding(versions: Versions, scale: float) -> None:
+    """Here n rounded terms can cancel to an action within its range."""
     rounding = len(versions.policy.mean) * np.finfo(np.float32).eps * scale
     versions.require_near(versions.scaled(scale), 1e-5 + rounding)
 
 
-def test_on_what_the_task_shows(tmp_path: Path) -> None:
+def test_actions_agree_on_states_of_the_task(tmp_path: Path) -> None:
     versions = Versions(load_policy(expert_path("Hopper-v5")), tmp_path)
     env = gymnasium.make("Hopper-v5")
     env.action_space.seed(0)
@@ -122,14 +122,14 @@ def test_on_what_the_task_shows(tmp_path: Path) -> None:
     versions.require_near(np.array(observations))
 
 
-def test_what_is_no_number_gives_none_anywhere(versions: Versions) -> None:
+def test_nan_gives_nan(versions: Versions) -> None:
     observations = np.full((1, len(versions.policy.mean)), np.nan, np.float32)
     for version in versions.by_name.values():
         assert np.isnan(version(observations)).all()
 
 
 @pytest.mark.parametrize("kind", ["linear", "neural"])
-def test_the_onnx_model_is_what_is_promised(kind: str, tmp_path: Path) -> None:
+def test_the_onnx_model_has_the_documented_interface(kind: str, tmp_path: Path) -> None:
     policy = random_policy(kind)
     policy.save(tmp_path / "policy.onnx")
     model = onnx.load(tmp_path / "policy.onnx")
@@ -145,7 +145,7 @@ def test_the_onnx_model_is_what_is_promised(kind: str, tmp_path: Path) -> None:
     assert not sizes
 
 
-def test_numbers_beyond_float32_are_not_written_as_others(tmp_path: Path) -> None:
+def test_numbers_beyond_float32_are_refused(tmp_path: Path) -> None:
     fields = vars(random_policy("linear", "float64"))
     for change in ({"std": np.full(17, 1e-50)}, {"weights": np.full((6, 17), 1e39)}):
         policy = SavedLinearPolicy(**(fields | change))
@@ -157,7 +157,9 @@ def test_numbers_beyond_float32_are_not_written_as_others(tmp_path: Path) -> Non
 @pytest.mark.parametrize("kind", ["linear", "neural"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("suffix", [".npz", ".safetensors"])
-def test_nothing_is_lost(kind: str, dtype: str, suffix: str, tmp_path: Path) -> None:
+def test_a_policy_survives_saving_and_loading(
+    kind: str, dtype: str, suffix: str, tmp_path: Path
+) -> None:
     policy = random_policy(kind, dtype)
     policy.save(tmp_path / f"policy{suffix}")
     again = load_policy(tmp_path / f"policy{suffix}")
@@ -169,7 +171,7 @@ def test_nothing_is_lost(kind: str, dtype: str, suffix: str, tmp_path: Path) -> 
         np.testing.assert_array_equal(one, other)
 
 
-def test_arrays_are_written_as_they_are_read_not_as_they_lie(tmp_path: Path) -> None:
+def test_transposed_arrays_are_written_in_order(tmp_path: Path) -> None:
     policy = random_policy("linear")
     transposed = SavedLinearPolicy(**vars(policy) | {"weights": policy.weights.T.copy().T})
     transposed.save(tmp_path / "policy.safetensors")
@@ -178,7 +180,7 @@ def test_arrays_are_written_as_they_are_read_not_as_they_lie(tmp_path: Path) -> 
 
 
 def encoded(tensors: dict, metadata: dict[str, str], body: bytes) -> bytes:
-    """A file after the format's description, independently of its library."""
+    """A file written after the format's description, without its library."""
     header = json.dumps({"__metadata__": metadata, **tensors}).encode()
     return struct.pack("<Q", len(header)) + header + body
 
@@ -199,7 +201,7 @@ def linear_file(**changes) -> bytes:
     return encoded(tensors, metadata, body)
 
 
-def test_a_file_of_somebody_elses_is_read(tmp_path: Path) -> None:
+def test_a_file_from_another_program_is_read(tmp_path: Path) -> None:
     (tmp_path / "policy.safetensors").write_bytes(linear_file())
     policy = load_policy(tmp_path / "policy.safetensors")
     np.testing.assert_array_equal(policy([2.0]), [0.5])
@@ -244,7 +246,7 @@ def test_damage_is_named(message: str, content: bytes, tmp_path: Path) -> None:
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_names_that_are_no_policys(tmp_path: Path) -> None:
+def test_other_suffixes_are_refused(tmp_path: Path) -> None:
     policy = random_policy("linear")
     for name in ("policy", "policy.pt", "policy.npz.gz"):
         with pytest.raises(UserError, match=r"ends in \.npz, \.safetensors, \.onnx"):

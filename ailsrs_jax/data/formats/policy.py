@@ -1,0 +1,100 @@
+"""A policy's file: its fields, and the formats in which they are stored."""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ailsrs_jax.data.formats.npz import encode_npz, read_npz
+from ailsrs_jax.data.formats.onnx import encode_onnx
+from ailsrs_jax.data.formats.safetensors import encode_safetensors, read_safetensors
+from ailsrs_jax.errors import UserError, requirement
+from ailsrs_jax.files import require_name
+
+# The arrays that the file of any policy holds. A linear policy's file also holds ``weights``; a
+# neural policy's also holds ``weights_<i>`` and ``biases_<i>`` of each layer i, and ``action_std``.
+COMMON_ARRAYS = ("mean", "std", "action_low", "action_high")
+MAX_LAYERS = 16
+MLP_ARRAYS = (
+    *(f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(MAX_LAYERS)),
+    "action_std",
+)
+
+
+class Format(NamedTuple):
+    """A format of policy files."""
+
+    package: str  # the package that it needs
+    encode: Callable[[dict[str, np.ndarray], dict[str, str]], bytes]  # arrays and text to bytes
+    read: Callable[..., dict[str, np.ndarray]] | None  # like read_npz
+
+
+FORMATS = {
+    ".npz": Format("numpy", lambda arrays, text: encode_npz({**arrays, **text}), read_npz),
+    ".safetensors": Format("safetensors", encode_safetensors, read_safetensors),
+    ".onnx": Format("onnx", encode_onnx, None),
+}
+
+
+def require_format(path: Path) -> Format:
+    """Return the format that the suffix of ``path`` names.
+
+    Raises:
+        UserError: there is no such format, or its package is not installed.
+    """
+    if path.suffix not in FORMATS:
+        raise UserError(f"{path}: the name of a policy's file ends in {', '.join(FORMATS)}")
+    if importlib.util.find_spec(FORMATS[path.suffix].package) is None:
+        raise UserError(f"{path}: {path.suffix} files need pip install 'ailsrs_jax[export]'")
+    return FORMATS[path.suffix]
+
+
+def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
+    """Read and validate the arrays and the ``env_id`` of a policy's file; nothing is unpickled.
+
+    A file with another suffix is read as ``.npz``.
+
+    Raises:
+        UserError: the file is missing, has another format, or its contents contradict one another.
+    """
+    read = require_format(path).read if path.suffix in (".safetensors", ".onnx") else read_npz
+    if read is None:
+        raise UserError(f"{path}: ONNX is for other programs; read a .npz or .safetensors file")
+    arrays = read(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_ARRAYS))
+    env_id = arrays.pop("env_id")
+
+    require = requirement(str(path))
+    weights, others = ["weights"], []
+    if "weights" not in arrays:
+        layers = range(sum(name.startswith("weights_") for name in arrays))
+        weights = [f"weights_{layer}" for layer in layers]
+        others = [*(f"biases_{layer}" for layer in layers), "action_std"]
+    missing = [name for name in (*weights, *others) if name not in arrays]
+    if missing or not weights:
+        raise UserError(f"{path} has no {', '.join(missing) or 'weights'}: not a file of a policy")
+    require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
+    require_name(str(env_id), str(path))
+    shapes: dict[str, tuple[int, ...]] = {}
+    for layer, matrix in enumerate(arrays[name] for name in weights):
+        require(matrix.ndim == 2, f"weights are {matrix.shape}, not (out, in)")
+        require(matrix.size > 0, f"weights are {matrix.shape}: they are empty")
+        before = arrays[weights[layer - 1]].shape if layer else matrix.shape[1:]
+        require(
+            before[:1] == matrix.shape[1:],
+            f"layers {layer - 1} and {layer} are {before} and {matrix.shape}: they do not fit",
+        )
+        shapes[f"biases_{layer}"] = matrix.shape[:1]
+    shapes |= dict.fromkeys(("mean", "std"), arrays[weights[0]].shape[1:])
+    action_shape = arrays[weights[-1]].shape[:1]
+    shapes |= dict.fromkeys(("action_low", "action_high", "action_std"), action_shape)
+    for name, array in arrays.items():
+        shape = shapes.get(name, array.shape)
+        require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
+        require(
+            array.dtype in (np.float32, np.float64) and bool(np.isfinite(array).all()),
+            f"{name} is not made of finite floating-point numbers",
+        )
+    require(bool((arrays["std"] > 0).all()), "std is not positive")
+    return {name: arrays[name] for name in (*COMMON_ARRAYS, *weights, *others)}, str(env_id)

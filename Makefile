@@ -1,4 +1,4 @@
-# Needs only Python, pip and make: everything else goes into a virtual environment of its own.
+# You need only Python, pip and make. Everything else is installed in a virtual environment.
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
@@ -20,7 +20,7 @@ docs: $(VENV)/installed
 	$(VENV)/bin/sphinx-build -W --keep-going -q -c docs . site
 	@echo site/index.html
 
-# Optional: another package's GAIL beside ours, in an environment of its own.
+# Optional: compare with GAIL of another package, which gets its own environment.
 peer: $(VENV)/installed .venv-peer/installed
 	$(VENV)/bin/python experiments/peer/compare.py $(ARGS)
 

@@ -20,6 +20,18 @@ def is_own(name: str) -> bool:
     return ":" in name
 
 
+def is_here(name: str) -> bool:
+    """Tell whether the module of ``module:attribute`` is in the current directory.
+
+    People may name anything on the command line. A file may come from a stranger, so modules that
+    it names are imported only from the current directory.
+    """
+    parts = name.partition(":")[0].split(".")
+    path = Path.cwd().joinpath(*parts)
+    is_file = path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+    return is_file and all(part.isidentifier() for part in parts)
+
+
 def load_own(name: str) -> Any:
     """Import ``module:attribute``; modules are looked for in the current directory first.
 

@@ -1,9 +1,9 @@
 """The documentation as a site: ``make docs``.
 
-Pages are the repository's own Markdown files where they are, so that links read the same on a code
-host and here. What can be generated is: the command line from the commands' own help, the Python
-reference from docstrings. Nothing is fetched from the network, neither here nor by a reader's
-browser: formulas are MathML, fonts the reader's own.
+The pages are the Markdown files of the repository in their places, so links work both on a code
+host and on the site. The page of the command line is made from the help of the commands, and the
+Python reference from docstrings. Nothing is loaded from the network, neither by the build nor by a
+reader's browser: formulas are MathML, and fonts are the reader's own.
 """
 
 import dataclasses
@@ -54,7 +54,7 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True  # fields are members already
 python_maximum_signature_line_length = 80
 
-# The parts of the Python reference: the rooms of the package whose public names each has.
+# The parts of the Python reference: the folder of the public names, and the title of the part.
 PARTS = {
     "runs": "Whole runs",
     "data": "Demonstrations and policies",
@@ -64,12 +64,12 @@ PARTS = {
     "sweeps": "Sweeps",
     "errors": "Mistakes",
 }
-# What public functions return, and nobody has to make.
+# Classes that public functions return and that users do not create.
 RETURNED = ("runs.loop.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
 
 
 def setup(app: Sphinx) -> None:
-    """Let Sphinx know of what is generated here."""
+    """Register the generated parts with Sphinx."""
     app.add_html_math_renderer("mathml", (_visit_math, None), (_visit_math, None))
     app.config.html_math_renderer = "mathml"
     app.connect("source-read", _add_generated)
@@ -87,21 +87,21 @@ def _add_generated(_: Sphinx, page: str, source: list[str]) -> None:
         source[0] += "".join(_help(command) for command in command_line._subcommands)
     if page == "docs/reference":
         source[0] += _reference()
-    if page == "experiments/RESULTS":  # a folder is a page on a code host only
+    if page == "experiments/RESULTS":  # a folder has a page only on a code host
         source[0] = re.sub(r", \[[^]]*\]\(results/\w+/figures\)", "", source[0])
-    if page.startswith("experiments/results/"):  # reached from there; it has no title
+    if page.startswith("experiments/results/"):  # RESULTS.md links to it; it has no title
         *_, sweep, table = page.split("/")
         source[0] = f"---\norphan: true\n---\n\n# {sweep}: {table}\n\n{source[0]}"
 
 
 def _without_fields(*event: Any) -> tuple[str, None] | None:
-    """No signature of what is made of its fields: each of them is documented below."""
+    """Leave out the signatures of dataclasses: their fields are documented one by one."""
     _, what, _, found, *_ = event
     return ("", None) if what == "class" and dataclasses.is_dataclass(found) else None
 
 
 def _help(command: str) -> str:
-    """The help of a command as one reads it, 88 columns wide."""
+    """Return the help of a command, 88 columns wide."""
     done = subprocess.run(
         [sys.executable, "-m", "ailsrs_jax", command, "--help"],
         env={**os.environ, "COLUMNS": "88", "NO_COLOR": "1"},
@@ -113,7 +113,7 @@ def _help(command: str) -> str:
 
 
 def _reference() -> str:
-    """All public names, by where they live in the package, functions first."""
+    """Return the entries of all public names by folder, functions first."""
     parts: dict[str, list[str]] = {title: [] for title in PARTS.values()}
     for name in sorted(ailsrs_jax.__all__, key=lambda name: (name[0].isupper(), name)):
         home = ailsrs_jax._HOMES[name]
@@ -128,7 +128,7 @@ def _reference() -> str:
 
 
 def _entry(name: str) -> str:
-    """The directive that documents a name; of classes, all that is ours."""
+    """Return the directive that documents a name, with all members of a class that are ours."""
     module, _, attribute = name.rpartition(".")
     found = getattr(importlib.import_module(module), attribute)
     if not isinstance(found, type):

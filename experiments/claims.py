@@ -1,7 +1,7 @@
-"""What the paper claims, in its order; the rules are in ``rules.py``.
+"""The claims of the paper, in its order; the rules are in ``rules.py``.
 
-Where the paper gives a return, it is compared as a share of the expert's: the tasks are version 5,
-not 2, and the experts others.
+Returns of the paper are compared as shares of the expert's return, because our tasks are version 5,
+not 2, and our experts are others.
 """
 
 from experiments import rules
@@ -24,7 +24,7 @@ from experiments.evidence import (
 )
 from experiments.rules import compared, reaches
 
-STARTS = "(after the start: AILSRS's is cloned on every task, GAIL's on HalfCheetah)"
+STARTS = "(counted after the start: a clone for AILSRS and, on HalfCheetah, for GAIL)"
 TEXT = "Abstract, introduction, background, conclusion"
 SEEDS = "Figure 3: training curves"
 
@@ -71,7 +71,7 @@ def _above_cloning(label: str, task: str, text: str) -> Claim:
 
 
 def _curve(task: str, text: str, numbers: tuple[int, ...]) -> Claim:
-    rule = "smoothed mean curve gets to a normalised return of 0.9"
+    rule = "the smoothed mean curve reaches a normalised return of 0.9"
     return Claim(SEEDS, text, "", rule, FIGURE_3, rules.curves_reach(task, numbers))
 
 
@@ -97,8 +97,8 @@ CLAIMS = [
         TEXT,
         "Competitive with BC and GAIL, complex deep reinforcement learning among them",
         "",
-        "AILSRS's interquartile mean over 16 conditions is not below the 95 % interval of GAIL's; "
-        "nor of BC's",
+        "AILSRS's interquartile mean over 16 conditions is not below GAIL's 95 % interval, and not "
+        "below BC's",
         FIGURE_2,
         rules.competitive,
     ),
@@ -122,8 +122,7 @@ CLAIMS = [
         TEXT,
         "Computationally efficient, trains quickly",
         "",
-        "from 10 demonstrations, 90 % of the expert in less wall-clock time than GAIL, median "
-        + STARTS,
+        "from 10 demonstrations, 90 % of the expert in less time than GAIL, median " + STARTS,
         FIGURE_2,
         rules.faster_than_gail,
     ),
@@ -163,7 +162,7 @@ CLAIMS = [
         TEXT,
         "The least-squares loss is stabler than cross entropy, its reward more accurate",
         "",
-        "higher mean over training; smaller largest fall of the smoothed mean curve",
+        "higher mean over training; the largest fall of the smoothed mean curve is smaller",
         ABLATIONS,
         rules.least_squares_is_steadier,
     ),
@@ -228,7 +227,7 @@ CLAIMS = [
     _cloned(WALKER, 30, 890.823, "31.23"),
     _figure_2(
         WALKER,
-        "BC is at its best from 30 demonstrations (said in a comment of the paper's source)",
+        "BC is best from 30 demonstrations (in a comment of the paper's source)",
         "890.823 from 30",
         "highest mean return from 30",
         rules.thirty_is_best,
@@ -269,7 +268,7 @@ CLAIMS = [
         "Figure 2: all tasks",
         "All three algorithms do better on Walker2d and Swimmer than on HalfCheetah and Hopper",
         "",
-        "mean normalised return over the two tasks and all numbers, for each algorithm",
+        "mean normalised return over all numbers and the first two tasks is higher, each algorithm",
         FIGURE_2,
         rules.two_tasks_are_easier,
     ),
@@ -278,7 +277,7 @@ CLAIMS = [
         SEEDS,
         "Learning HalfCheetah becomes unstable as the number of seeds increases",
         "",
-        "the smoothed mean curve's largest fall below an earlier high: more with 5 than with 1",
+        "the largest fall of the smoothed mean curve is larger with 5 seeds than with 1",
         FIGURE_3,
         rules.more_seeds_are_less_steady,
     ),
@@ -287,7 +286,7 @@ CLAIMS = [
         SEEDS,
         "Hopper is slightly below with 5 seeds",
         "",
-        "the smoothed mean curve does not get to 0.9, those of 1 and 3 seeds do",
+        "the smoothed mean curve of 5 seeds does not reach 0.9; those of 1 and 3 seeds do",
         FIGURE_3,
         rules.five_seeds_miss_on_hopper,
     ),
@@ -303,17 +302,18 @@ CLAIMS = [
     ),
 ]
 
-# What no table of ours can decide, and why.
+# The claims that our tables cannot decide, and why.
 UNTESTED = {
-    "The combination of adversarial networks and random search is new": "a matter of literature",
-    "The method is simple and easy to rebuild": "a judgement; the repository is our answer",
+    "The combination of adversarial networks and random search is new": "a question about the "
+    "literature",
+    "The method is simple and easy to rebuild": "a judgement; this repository is our answer",
     "ARS does better than BRS and deep reinforcement learning on the reward": "cited from Mania et "
     "al.; `baselines` has ARS and TRPO on Hopper",
     "Dividing by σ_R steadies ARS's updates": "cited from Mania et al.",
-    "Labels 0 and 1 do better than b − a = 2": "no figure in the paper, and D ends in a sigmoid",
-    "Normalised observations give all components an equal influence": "no figure in the paper",
-    "Five of twenty runs were averaged for Figure 3": "a choice that cannot be repeated: ours "
-    "are all the runs there are, in the order of their seeds",
-    "GAIL sometimes does better than the expert": "cited from Ho and Ermon; on HalfCheetah it is "
-    "claimed again above",
+    "Labels 0 and 1 do better than b − a = 2": "the paper gives no figure, and D ends in a sigmoid",
+    "Normalised observations give all components an equal influence": "the paper gives no figure",
+    "Five of twenty runs were averaged for Figure 3": "a choice that cannot be repeated: we "
+    "use all runs, in the order of their seeds",
+    "GAIL sometimes does better than the expert": "cited from Ho and Ermon; the claim about "
+    "HalfCheetah above is the same",
 }

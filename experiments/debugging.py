@@ -1,15 +1,16 @@
-"""The curves of docs/debugging.md: a game that stays even, and one that the discriminator wins.
+"""Draw the curves of docs/debugging.md: a healthy run, and one that the discriminator wins.
 
 usage: python -m experiments.debugging    (writes docs/pictures/discriminator.png)
 
-Draws from experiments/debugging/, which has settings and metrics of two runs at commit 0fb3d7d:
+The curves come from experiments/debugging/, which has the settings and metrics of two runs at
+commit 0fb3d7d:
 
     ailsrs train hopper --num-trajectories 10 --output even
     ailsrs train hopper --num-trajectories 10 --output lost --iterations 30
         --set gradient_penalty=0 memory_iterations=1 discriminator_steps=50
         behavior_cloning_start=false
 
-One seed each: an illustration, not a comparison.
+Each run has one seed. The picture is an illustration, not a comparison.
 """
 
 from pathlib import Path
@@ -23,7 +24,7 @@ import matplotlib.pyplot as plt
 
 RUNS = Path(__file__).parent / "debugging"
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "discriminator.png"
-# What is drawn: the axis, the value that chance gives, and the columns of metrics.csv.
+# For each panel: the label, the value of pure guessing, and the columns of metrics.csv.
 PANELS = (
     ("score D", 0.5, {"expert_score": "expert's steps", "policy_score": "policy's steps"}),
     ("imitation reward", 0.693, {"imitation_reward": None}),

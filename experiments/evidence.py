@@ -1,7 +1,8 @@
-"""What a claim is judged by: checks of committed results, and the verdict that they give.
+"""Judge a claim by checks of committed results.
 
-All checks hold: *reproduced*; at least half of them: *partly*; fewer: *not*. A check needs every
-seed that the sweep was asked for: until then the claim is *not yet run*.
+A claim is *reproduced* if all checks hold, *partly* if at least half of them hold, and *not* if
+fewer hold. A check needs every seed that the sweep was asked for; until then the claim is *not yet
+run*.
 """
 
 import dataclasses
@@ -25,13 +26,13 @@ TASKS = (CHEETAH, HOPPER, WALKER, SWIMMER)
 HARD_TASKS = ("Ant-v5", "Humanoid-v5")
 NUMBERS = (10, 20, 30, 40)
 FEWEST, MOST = NUMBERS[0], NUMBERS[-1]
-NUM_SEEDS = {FIGURE_2: 3, FIGURE_3: 5, ABLATIONS: 3, HARD: 3}  # that the sweeps are asked for
+NUM_SEEDS = {FIGURE_2: 3, FIGURE_3: 5, ABLATIONS: 3, HARD: 3}  # that the sweeps ask for
 REACHED = 0.9  # of the way from random to the expert
 PAPER_EXPERTS = {CHEETAH: 4632.0, HOPPER: 3245.0, WALKER: 1021.0, SWIMMER: 362.0}
 
 
 class NotRunError(Exception):
-    """What a check needs has not been measured; the message says what that is."""
+    """A check needs results that do not exist yet; the message names them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,32 +40,32 @@ class Check:
     """One comparison."""
 
     where: str
-    value: str  # ours
+    value: str  # our result
     holds: bool
 
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """One thing that the paper says."""
+    """One claim of the paper."""
 
     section: str
     text: str
-    paper: str  # its figure, if it gives one
+    paper: str  # the figure that the paper gives, if any
     rule: str
-    sweep: str  # whose results decide
+    sweep: str  # the sweep whose results decide
     checks: "Checks"
 
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """What came of a claim."""
+    """The verdict on a claim."""
 
     ours: str
     verdict: str
 
 
 class Evidence:
-    """Committed results, by the name of their sweep."""
+    """The committed results by the name of their sweep."""
 
     def __init__(self, results: Mapping[str, SweepResults]) -> None:
         self._results = results
@@ -73,10 +74,12 @@ class Evidence:
     def group(
         self, label: str, task: str, number: int | None = None, sweep: str = FIGURE_2
     ) -> Group:
-        """The seeds of a label on a task, with so many demonstrations or the most there are.
+        """Return the seeds of a label on a task from ``number`` demonstrations.
+
+        Without ``number``, take the largest number of demonstrations there is.
 
         Raises:
-            NotRunError: they have not all been trained.
+            NotRunError: not all of them have been trained.
         """
         what = f"{label} on {task}" + (f" from {number}" if number else "")
         found = [
@@ -93,10 +96,10 @@ class Evidence:
         return group
 
     def seconds(self, groups: Sequence[Group], sweep: str = FIGURE_2) -> list[np.ndarray]:
-        """Wall-clock times of the seeds of each group to 90 % of the expert, NaN if never.
+        """Return the seconds of each seed of each group to 90 % of the expert, NaN if never.
 
         Raises:
-            NotRunError: they were not all taken on the same hardware.
+            NotRunError: the times are missing or were measured on different hardware.
         """
         timings = self._results[sweep].timings
         names = [[cell.cell for cell in group.cells] for group in groups]
@@ -106,7 +109,7 @@ class Evidence:
         return [np.array([timings[name].seconds_to_90_percent for name in each]) for each in names]
 
     def curve(self, group: Group, num_seeds: int, sweep: str) -> np.ndarray:
-        """The smoothed mean of the first seeds' training curves, normalised."""
+        """Return the smoothed, normalised mean of the training curves of the first seeds."""
         curves = self._results[sweep].curves
         cells = sorted(group.cells, key=lambda cell: cell.seed)[:num_seeds]
         if len(cells) < num_seeds or any(cell.cell not in curves for cell in cells):
@@ -119,7 +122,7 @@ Checks = Callable[[Evidence], Iterable[Check]]
 
 
 def judge(claim: Claim, evidence: Evidence) -> Finding:
-    """Apply the claim's rule."""
+    """Apply the rule of the claim."""
     try:
         checks = list(claim.checks(evidence))
     except NotRunError as error:

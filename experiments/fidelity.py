@@ -1,11 +1,11 @@
-"""MJX and our C engine beside Gymnasium's own environments: one step, and whole episodes.
+"""Compare MJX and our C engine with Gymnasium's own environments: one step, and whole episodes.
 
 usage: python -m experiments.fidelity [ENV ...]    (from the project's root)
 
-Prints two tables. The first: errors of one environment step from states that random actions and,
-where one ships, the expert visit. The second: returns of the experts, and of a policy trained on
-MJX, each simulated in the three, as mean over 100 episodes and 95 % confidence interval of that
-mean.
+It prints two tables. The first has the errors of one environment step, from states that random
+actions and the expert (if the package has one for the task) visit. The second has the returns of
+the experts and of a policy trained on MJX, in Gymnasium and in both engines: the mean over 100
+episodes and its 95 % confidence interval.
 """
 
 import sys
@@ -25,7 +25,7 @@ TRAINED_ON_MJX = "experiments/physics/swimmer_mjx/seed_0/policy.npz"
 
 
 def print_step_errors(env_ids: list[str]) -> None:
-    """Median and 99th percentile over steps, of the worst entry of each."""
+    """Print the median and the 99th percentile over steps of the largest error of a step."""
     print("| task | engine | velocities [m/s, rad/s] | observations | reward | done differs |")
     print("|---|---|---|---|---|---|")
     for env_id in env_ids:
@@ -45,7 +45,7 @@ def print_step_errors(env_ids: list[str]) -> None:
 
 
 def print_returns(env_ids: list[str]) -> None:
-    """The same policy everywhere."""
+    """Print the returns of the same policies in Gymnasium and in both engines."""
     places = ("gymnasium", *ENGINES)
     print(f"| policy | {' | '.join(places)} |")
     print("|---|---|---|---|")

@@ -1,9 +1,10 @@
-"""The film at the top of the README: experts beside the policies that imitate them.
+"""Make the film at the top of the README: experts beside the policies that imitate them.
 
 usage: python -m experiments.film DIRECTORY...    (writes docs/pictures/film.webp)
 
-Of each run directory the first seed's kept policy, in the first seconds of the episode that
-`ailsrs render` shows. The README's are two cells of ten demonstrations:
+For each run directory, the film shows the kept policy of the first seed, in the first seconds of
+the episode that `ailsrs render` shows. The film in the README shows two cells from ten
+demonstrations:
 
     ailsrs sweep experiments/curves.toml --output runs/curves
     python -m experiments.film runs/curves/cells/halfcheetah-ailsrs-10-seed0
@@ -22,11 +23,11 @@ FILM = Path(__file__).parent.parent / "docs" / "pictures" / "film.webp"
 SECONDS = 3.0
 FPS = 20
 SIZE = 200  # pixels, height and width of each picture
-QUALITY = 25  # of 100; at 50 the file has a megabyte
+QUALITY = 25  # at most 100; with 50 the file has a megabyte
 
 
 def main() -> None:
-    """Render what the command line names, side by side."""
+    """Render the run directories of the command line side by side."""
     try:
         shots = [shot(directory) for directory in sys.argv[1:]]
         if not shots:
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 def shot(directory: str) -> np.ndarray:
-    """``(T, H, W, 3)`` uint8, expert and policy."""
+    """Return the frames ``(T, H, W, 3)`` uint8 of expert and policy."""
     animation = ail.render(directory, seconds=SECONDS, size=SIZE)
     times = np.arange(0.0, SECONDS, 1.0 / FPS)
     nearest = np.minimum(times * float(animation.fps), len(animation.frames) - 1)

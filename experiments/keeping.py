@@ -1,10 +1,11 @@
-"""How well the reward-free choice of the kept policy does, from the results of a sweep.
+"""Measure how good the reward-free choice of the kept policy is, from the results of a sweep.
 
 usage: python experiments/keeping.py DIRECTORY     (experiments/results/paper, or any sweep's)
 
-Of each cell that is kept by its distance to the expert: the evaluation return of the kept iterate,
-the one with the smallest energy distance; of the last; and of the best, which only the reward could
-point out; and Spearman's rank correlation of distance and return over the iterates.
+For each cell of AILSRS and GAIL, it prints the evaluation return of three iterates: the kept one,
+which has the smallest energy distance to the expert; the last one; and the best one, which only the
+reward can identify. It also prints Spearman's rank correlation of distance and return over the
+iterates.
 """
 
 import sys
@@ -19,7 +20,7 @@ from ailsrs_jax.sweeps.results import read_results
 
 
 def main() -> None:
-    """Print a row per cell."""
+    """Print one row for each cell."""
     directory = Path(sys.argv[1])
     kept_by_distance = {
         cell.cell for cell in read_results(directory).done if cell.algorithm in ("ailsrs", "gail")

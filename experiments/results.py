@@ -1,11 +1,11 @@
-"""RESULTS.md: every claim of the paper beside what the committed results of our sweeps say.
+"""Write RESULTS.md: every claim of the paper, compared with the committed results of our sweeps.
 
-usage: python -m experiments.results                              draw and write everything again
-       python -m experiments.results add NAME DIRECTORY COMMIT    first take in a sweep's results
+usage: python -m experiments.results                             make figures, tables, page again
+       python -m experiments.results add NAME DIRECTORY COMMIT    first add the results of a sweep
 
-``add`` copies the tables of DIRECTORY, which ``ailsrs sweep experiments/NAME.toml`` has left, to
-experiments/results/NAME, and adds the commit that it was run at to those already noted for its
-other cells. Where none are left of those, delete provenance.json first.
+``ailsrs sweep experiments/NAME.toml`` writes tables to DIRECTORY. ``add`` copies them to
+experiments/results/NAME and adds COMMIT, at which the sweep ran, to the commits in provenance.json.
+If no cells of earlier commits are left, delete provenance.json first.
 """
 
 import json
@@ -32,49 +32,66 @@ EXPERIMENTS = Path(__file__).parent
 RESULTS = EXPERIMENTS / "results"
 PAGE = EXPERIMENTS / "RESULTS.md"
 TABLES = ("results.csv", "curves.csv", "timings.csv")
-FIGURES = ("figure_2", "figure_3_ailsrs", "scores", "profiles")  # shown; others are beside them
+FIGURES = (
+    "figure_2",
+    "figure_3_ailsrs",
+    "scores",
+    "profiles",
+)  # shown on the page; the folder has more
 VERDICTS = ("reproduced", "partly", "not", "not yet run")
 
 INTRODUCTION = """\
-# The paper's claims, and what we find
+# The paper's claims, and our results
 
-Written by `python -m experiments.results` from the tables in `experiments/results/`; not by hand.
+This page compares each claim of *Adversarial Imitation Learning via Random Search* (Shin and Kim,
+IJCNN 2019) with our results. `python -m experiments.results` writes it from the tables in
+`experiments/results/`; do not edit it by hand.
 
-Each claim of *Adversarial Imitation Learning via Random Search* (Shin and Kim, IJCNN 2019) has a
-rule, which is code in `experiments/rules.py`. A rule is a number of comparisons: all hold,
-*reproduced*; at least half, *partly*; fewer, *not*. ✗ marks one that does not hold. While a seed is
-missing, it is *not yet run*. Normalised returns are 0 for random actions and 1 for the expert.
-Returns are those of the kept policies in Gymnasium's own environments; imitators choose theirs
-without the reward, ARS and TRPO by it. ± is the standard deviation over seeds (the paper does not
-say of what its own is), and with three seeds it is a rough one.
+**Rules.** Each claim has a rule, which is code in `experiments/rules.py`. A rule consists of
+comparisons. If all of them hold, the claim is *reproduced*; if at least half hold, *partly*; if
+fewer hold, *not*. ✗ marks a comparison that does not hold. A claim is *not yet run* while one of
+its seeds is missing.
 
-What differs from the paper: settings are those of the [tuned
-presets](../docs/algorithms.md#presets-of-ailsrs), not Table I's, so AILSRS has 32 directions, 16 on
-Hopper, for 320, a start from behaviour cloning on every task, observations in units of the
-expert's, a gradient penalty and a memory, counts steps missing after a fall as worth less, and on
-HalfCheetah judges states without actions. They were tuned by hand on these tasks, and no seeds were
-held back but for the last two changes, chosen by other seeds: when Hopper was at 0.86 from ten
-demonstrations and at 0.89 from forty, its directions and iterations ([held_back](#held_back)), and
-when Walker2d was at 0.74 from forty, its discriminator steps
-([held_back_walker2d](#held_back_walker2d)). GAIL's were not tuned task by task. As in the paper it
-starts from behaviour cloning on HalfCheetah, where its clone is at the expert's level, and from
-nothing on the other three (from its clone on Ant and Humanoid, which are no comparison of the
-paper's); its iterations are set by task, so that from ten demonstrations it gets from half
-(HalfCheetah) to twice (Swimmer) the time of AILSRS, not as many steps as it might want. So what is
-compared are these two set-ups, not the two methods at their best. Tasks are version 5, not 2, and
-the experts others, so returns are compared as shares of the expert's. On Walker2d the expert of the
-paper's level falls after about 385 steps: standing still for all 1000 returns as much and walking
-on twice that, so a return like its own, and the time until it, say less there than elsewhere. As in
-the paper, `BC` trains a policy of AILSRS's structure; `neural BC`, of GAIL's network, decides no
-claim. [docs/figures.md](../docs/figures.md) explains the figures.
+**Numbers.** Returns are those of the kept policies in Gymnasium's own environments. A normalised
+return is 0 for random actions and 1 for the expert. Algorithms that imitate choose the policy
+without the reward; ARS and TRPO choose it by the reward. ± is the standard deviation over seeds.
+With three seeds it is a rough figure. The paper does not say what its own ± is.
 
-Cells are from more than one processor, on which the same command [ends
-elsewhere](../docs/numerics.md#what-is-reproducible). AILSRS's on Hopper and Walker2d, and elsewhere
-from ten and from forty demonstrations, are of one, its others of two."""
+**What differs from the paper**
+
+- *AILSRS's settings* are those of the [tuned presets](../docs/algorithms.md#presets-of-ailsrs), not
+  those of Table I. There are 32 directions instead of 320, and 16 on Hopper. Every task starts from
+  behaviour cloning. Observations are in units of the expert's standard deviation. There is a
+  gradient penalty and a memory of past policies. The steps that are missing after a fall count
+  less. On HalfCheetah the discriminator sees states without actions.
+- *Tuning.* These settings were tuned by hand on these tasks. Seeds were held back only for the last
+  two changes. Hopper's directions and iterations were chosen when Hopper was at 0.86 from ten
+  demonstrations and at 0.89 from forty ([held_back](#held_back)). Walker2d's discriminator steps
+  were chosen when Walker2d was at 0.74 from forty ([held_back_walker2d](#held_back_walker2d)).
+- *GAIL's settings* were not tuned for each task. As in the paper, GAIL starts from behaviour
+  cloning on HalfCheetah, where its clone is at the expert's level, and from nothing on the other
+  three tasks. On Ant and Humanoid it starts from its clone; the paper makes no such comparison. Its
+  number of iterations is set for each task. From ten demonstrations, it gets between half
+  (HalfCheetah) and twice (Swimmer) the time of AILSRS, not as many steps as it might need. So the
+  tables compare two set-ups, not the two methods at their best.
+- *Tasks and experts.* The tasks are version 5, not 2, and the experts are others. So returns are
+  compared as shares of the expert's return.
+- *Walker2d.* The expert of the paper's level falls after about 385 steps. A policy that stands
+  still for all 1000 steps returns as much, and one that walks on returns twice as much. So a return
+  like the expert's, and the time to reach it, say less there than on the other tasks.
+- *Behaviour cloning.* As in the paper, `BC` trains a policy of AILSRS's structure. `neural BC`
+  trains one of GAIL's structure, and no claim depends on it.
+
+[docs/figures.md](../docs/figures.md) explains the figures.
+
+**Processors.** The cells come from more than one processor, and the same command [ends
+differently](../docs/numerics.md#what-is-reproducible) on another one. All AILSRS cells on Hopper
+and Walker2d come from one processor, and so do those on the other tasks from ten and from forty
+demonstrations. The remaining AILSRS cells come from two."""
 
 
 def main() -> None:
-    """Do what the command line says."""
+    """Run the command."""
     try:
         match sys.argv[1:]:
             case []:
@@ -85,7 +102,7 @@ def main() -> None:
                 raise UserError("usage: python -m experiments.results [add NAME DIRECTORY COMMIT]")
         sweeps = read_all(RESULTS)
         for name in sweeps:
-            # Those of labels that are gone would stay, and be shown.
+            # Figures of labels that no longer exist would stay and be shown.
             shutil.rmtree(RESULTS / name / "figures", ignore_errors=True)
             report_sweep(RESULTS / name)
         write_text(PAGE, page(sweeps))
@@ -95,7 +112,7 @@ def main() -> None:
 
 
 def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
-    """Copy a sweep's tables to ``target``, with a note of where they come from.
+    """Copy the tables of a sweep to ``target`` and note their origin.
 
     Raises:
         UserError: the sweep cannot be read, or the commit has no experiments/NAME.toml.
@@ -118,18 +135,18 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
 
 
 def read_all(directory: Path) -> dict[str, SweepResults]:
-    """The results in ``directory``, by the name of their sweep."""
+    """Return the results in ``directory`` by the name of their sweep."""
     found = sorted(path.parent for path in directory.glob("*/results.csv"))
     return {path.name: read_results(path) for path in found}
 
 
 def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
-    """RESULTS.md, of the results in ``directory``."""
+    """Return the text of RESULTS.md for the results in ``directory``."""
     evidence = Evidence(sweeps)
     findings = [judge(claim, evidence) for claim in CLAIMS]
     counts = Counter(finding.verdict for finding in findings)
     summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    parts = [INTRODUCTION, f"**{len(CLAIMS)} claims: {summary}.**", "## Where they come from"]
+    parts = [INTRODUCTION, f"**{len(CLAIMS)} claims: {summary}.**", "## Origin of the results"]
     parts += [_origins(sweeps, directory), "## The experts", _experts(evidence)]
     rows = zip(CLAIMS, findings, strict=True)
     for section, mine in groupby(rows, key=lambda row: row[0].section):
@@ -169,8 +186,8 @@ def _origins(sweeps: Mapping[str, SweepResults], directory: Path) -> str:
         rows.append(row)
     header = ["sweep", "command", "cells done", "engine", "hardware", "commits"]
     note_below = (
-        "Hardware is what the times are of; the oldest cells do not name the processor's model. A "
-        "sweep\nwith several commits was trained in parts, or in part anew."
+        "The times were measured on the named hardware; the oldest cells do not name the model of "
+        "the\nprocessor. A sweep with several commits was trained in parts, or partly repeated."
     )
     return f"{markdown_table(header, rows)}\n\n{note_below}"
 
@@ -187,7 +204,7 @@ def _provenance(path: Path) -> dict[str, Any]:
 
 
 def _experts(evidence: Evidence) -> str:
-    """What is imitated, in the paper and here: given, not found, and so no claim."""
+    """Return the table of the experts' returns. They are given, not found, so they are no claim."""
     rows = []
     for task, paper in PAPER_EXPERTS.items():
         try:
@@ -201,7 +218,7 @@ def _experts(evidence: Evidence) -> str:
 
 
 def _section(name: str, results: SweepResults, directory: Path) -> list[str]:
-    """The sweep's interquartile means, figures, and where its tables are."""
+    """Return the interquartile means, the figures and the links to the tables of a sweep."""
     folder = f"results/{name}"
     parts = aggregates(group_cells(results.cells), level=3)
     drawn = [f for f in FIGURES if (directory / name / "figures" / f"{f}.png").exists()]
@@ -211,7 +228,7 @@ def _section(name: str, results: SweepResults, directory: Path) -> list[str]:
 
 
 def _git(*arguments: str) -> str:
-    """What git prints; nothing where it refuses."""
+    """Return the output of git, or an empty text if git fails."""
     command = ["git", "-C", str(EXPERIMENTS), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 

@@ -1,7 +1,7 @@
-"""The rules by which the results of sweeps confirm what the paper claims, or do not.
+"""The rules that compare the results of sweeps with the claims of the paper.
 
-A rule is said in words and is a function that turns results into checks; ``evidence.py`` judges by
-them.
+A rule is a function that turns results into checks. ``claims.py`` states it in words, and
+``evidence.py`` turns the checks into a verdict.
 """
 
 import dataclasses
@@ -39,34 +39,34 @@ from experiments.evidence import (
 
 
 def short(task: str) -> str:
-    """The task without its version."""
+    """Return the name of the task without its version."""
     return task.partition("-")[0]
 
 
 def share(group: Group) -> float:
-    """The mean return in units of the expert's."""
+    """Return the mean return as a share of the expert's."""
     return float(group.values("return_mean").mean() / group.values("expert_return").mean())
 
 
 def score(group: Group) -> float:
-    """The mean normalised return."""
+    """Return the mean normalised return."""
     return float(group.values("normalized").mean())
 
 
 def spread(group: Group) -> float:
-    """The standard deviation over seeds of the normalised return."""
+    """Return the standard deviation of the normalised return over seeds."""
     return float(group.values("normalized").std(ddof=1))
 
 
 def largest_fall(curve: np.ndarray) -> float:
-    """How far the curve falls below an earlier high of it."""
+    """Return the largest difference between an earlier maximum of the curve and its value."""
     return float((np.maximum.accumulate(curve) - curve).max())
 
 
 def reaches(
     label: str, tasks: Sequence[str], numbers: Sequence[int | None], sweep: str = FIGURE_2
 ) -> Checks:
-    """The mean normalised return of the kept policies is at least 0.9."""
+    """Check that the mean normalised return of the kept policies is at least 0.9."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         for task in tasks:
@@ -88,7 +88,7 @@ def compared(
     sweep: str = FIGURE_2,
     numbers: Sequence[int | None] = NUMBERS,
 ) -> Checks:
-    """What is measured of ``label`` is above, or below, that of ``other``."""
+    """Check that a measure of ``label`` is above that of ``other``, or at most as large."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         for task in tasks:
@@ -104,7 +104,7 @@ def compared(
 
 
 def cloned_to(task: str, number: int, paper_return: float) -> Checks:
-    """BC's share of the expert's return is the paper's."""
+    """Check that BC's share of the expert's return is within 0.1 of the paper's."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         group = evidence.group("BC", task, number)
@@ -116,7 +116,7 @@ def cloned_to(task: str, number: int, paper_return: float) -> Checks:
 
 
 def cloning_rises(task: str) -> Checks:
-    """BC's mean return is higher with each further ten demonstrations."""
+    """Check that BC's mean return rises with each further ten demonstrations."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         means = [evidence.group("BC", task, n).values("return_mean").mean() for n in NUMBERS]
@@ -127,7 +127,7 @@ def cloning_rises(task: str) -> Checks:
 
 
 def curves_reach(task: str, numbers_of_seeds: Sequence[int]) -> Checks:
-    """The smoothed mean training curve gets to 0.9."""
+    """Check that the smoothed mean training curve reaches 0.9."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         group = evidence.group("AILSRS", task, sweep=FIGURE_3)
@@ -139,7 +139,7 @@ def curves_reach(task: str, numbers_of_seeds: Sequence[int]) -> Checks:
 
 
 def above_the_expert(label: str, task: str) -> Checks:
-    """The mean return is above the expert's, from all but the fewest demonstrations."""
+    """Check that the mean return is above the expert's from 20, 30 and 40 demonstrations."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         for number in NUMBERS[1:]:
@@ -151,7 +151,7 @@ def above_the_expert(label: str, task: str) -> Checks:
 
 
 def within_five_percent(label: str) -> Checks:
-    """Walker2d: the mean return is within the paper's band around the expert's."""
+    """Check that the mean return on Walker2d is within 5 % of the expert's, as in the paper."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         for number in NUMBERS:
@@ -162,7 +162,7 @@ def within_five_percent(label: str) -> Checks:
 
 
 def every_seed_reaches(label: str, tasks: Sequence[str], numbers: Sequence[int]) -> Checks:
-    """The normalised return of each seed is at least 0.9."""
+    """Check that the normalised return of each seed is at least 0.9."""
 
     def checks(evidence: Evidence) -> Iterable[Check]:
         for task in tasks:
@@ -174,7 +174,7 @@ def every_seed_reaches(label: str, tasks: Sequence[str], numbers: Sequence[int])
 
 
 def competitive(evidence: Evidence) -> Iterable[Check]:
-    """AILSRS's interquartile mean is not below the interval of GAIL's, nor of BC's."""
+    """AILSRS's interquartile mean is not below the intervals of GAIL's and BC's."""
     iqm = {
         label: interquartile_mean(
             scores(evidence.group(label, task, n) for task in TASKS for n in NUMBERS)
@@ -187,13 +187,13 @@ def competitive(evidence: Evidence) -> Iterable[Check]:
 
 
 def all_six(evidence: Evidence) -> Iterable[Check]:
-    """All of Gym's six locomotion tasks."""
+    """AILSRS reaches 0.9 on all six locomotion tasks of Gym."""
     yield from reaches("AILSRS", TASKS, [MOST])(evidence)
     yield from reaches("AILSRS", HARD_TASKS, [None], HARD)(evidence)
 
 
 def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
-    """Neither Ant nor Humanoid gets to 0.9."""
+    """AILSRS reaches 0.9 neither on Ant nor on Humanoid."""
     for task in HARD_TASKS:
         (check,) = reaches("AILSRS", [task], [None], HARD)(evidence)
         steps = np.median(evidence.group("AILSRS", task, sweep=HARD).values("env_steps"))
@@ -202,7 +202,7 @@ def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
 
 
 def few_are_enough(evidence: Evidence) -> Iterable[Check]:
-    """Ten demonstrations are enough, and as good as forty."""
+    """AILSRS reaches 0.9 from ten demonstrations and is at most 0.05 better from forty."""
     for task in TASKS:
         few, many = (score(evidence.group("AILSRS", task, n)) for n in (FEWEST, MOST))
         enough = few >= max(REACHED, many - 0.05)
@@ -210,7 +210,7 @@ def few_are_enough(evidence: Evidence) -> Iterable[Check]:
 
 
 def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
-    """AILSRS is at 90 % of the expert in less wall-clock time."""
+    """AILSRS reaches 90 % of the expert in less time than GAIL."""
     for task in TASKS:
         groups = [evidence.group(label, task, FEWEST) for label in ("AILSRS", "GAIL")]
         ours, theirs = (median_reached(times)[0] for times in evidence.seconds(groups))
@@ -218,7 +218,7 @@ def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
 
 
 def gail_needs_more_interaction(evidence: Evidence) -> Iterable[Check]:
-    """GAIL is at 90 % of the expert after more steps in the environment than AILSRS."""
+    """GAIL reaches 90 % of the expert after more environment steps than AILSRS."""
     for task in TASKS:
         groups = [evidence.group(label, task, FEWEST) for label in ("GAIL", "AILSRS")]
         theirs, ours = (median_reached(group.values("steps_to_90"))[0] for group in groups)
@@ -226,7 +226,7 @@ def gail_needs_more_interaction(evidence: Evidence) -> Iterable[Check]:
 
 
 def cloning_needs_data(evidence: Evidence) -> Iterable[Check]:
-    """BC misses with ten demonstrations and does a good deal better with forty."""
+    """BC is below 0.9 from ten demonstrations and at least 0.1 better from forty."""
     for task in TASKS:
         few, many = (score(evidence.group("BC", task, n)) for n in (FEWEST, MOST))
         needs = few < REACHED and many >= few + 0.1
@@ -234,7 +234,7 @@ def cloning_needs_data(evidence: Evidence) -> Iterable[Check]:
 
 
 def cloned_start_is_faster(evidence: Evidence) -> Iterable[Check]:
-    """AILSRS from BC is at 90 % of the expert in fewer steps than from zero."""
+    """AILSRS from BC reaches 90 % of the expert in fewer steps than from zero."""
     for task in (HOPPER, CHEETAH):
         cloned, zero = (
             median_reached(evidence.group(label, task, sweep=ABLATIONS).values("steps_to_90"))[0]
@@ -244,7 +244,7 @@ def cloned_start_is_faster(evidence: Evidence) -> Iterable[Check]:
 
 
 def least_squares_is_steadier(evidence: Evidence) -> Iterable[Check]:
-    """Higher over training, and with a smaller fall, than with cross entropy."""
+    """Least squares is higher over training than cross entropy, with a smaller largest fall."""
     for task in (HOPPER, CHEETAH):
         groups = [
             evidence.group(label, task, sweep=ABLATIONS) for label in ("tuned", "cross entropy")
@@ -259,14 +259,14 @@ def least_squares_is_steadier(evidence: Evidence) -> Iterable[Check]:
 
 
 def thirty_is_best(evidence: Evidence) -> Iterable[Check]:
-    """BC on Walker2d is at its best with thirty demonstrations."""
+    """BC on Walker2d has its highest mean return from thirty demonstrations."""
     means = {n: evidence.group("BC", WALKER, n).values("return_mean").mean() for n in NUMBERS}
     best = max(means, key=lambda number: means[number])
     yield Check("best with", str(best), best == 30)
 
 
 def swimmer_is_easiest_to_clone(evidence: Evidence) -> Iterable[Check]:
-    """With ten demonstrations BC is nearest to the expert on Swimmer."""
+    """From ten demonstrations, BC is nearer to the expert on Swimmer than elsewhere."""
     shares = {task: share(evidence.group("BC", task, FEWEST)) for task in TASKS}
     for task in TASKS[:3]:
         value = f"{shares[SWIMMER]:.2f} against {shares[task]:.2f}"
@@ -301,14 +301,14 @@ def swimmer_is_steady(evidence: Evidence) -> Iterable[Check]:
 
 
 def more_seeds_are_less_steady(evidence: Evidence) -> Iterable[Check]:
-    """HalfCheetah's curve falls further with five seeds than with one."""
+    """The largest fall of HalfCheetah's mean curve is larger with five seeds than with one."""
     group = evidence.group("AILSRS", CHEETAH, sweep=FIGURE_3)
     one, five = (largest_fall(evidence.curve(group, number, FIGURE_3)) for number in (1, 5))
     yield Check("largest fall", f"{one:.2f} with one, {five:.2f} with five", five > one)
 
 
 def five_seeds_miss_on_hopper(evidence: Evidence) -> Iterable[Check]:
-    """Hopper's curve gets to 0.9 with one and with three seeds, and not with five."""
+    """Hopper's mean curve reaches 0.9 with one and with three seeds, but not with five."""
     group = evidence.group("AILSRS", HOPPER, sweep=FIGURE_3)
     one, three, five = (evidence.curve(group, n, FIGURE_3).max() for n in (1, 3, 5))
     value = f"{one:.2f}, {three:.2f}, {five:.2f}"

@@ -1,9 +1,10 @@
-"""How far MJX is from the C engine after one environment step, by settings of its solver.
+"""Measure the error of MJX against the C engine after one environment step, by solver settings.
 
 usage: python experiments/solver_settings.py [ENV ...]
 
-Prints the largest error among the joint velocities [m/s, rad/s], over states that random actions
-and random linear policies visit: its median, 99th percentile and maximum.
+The error of a state is the largest error among its joint velocities [m/s, rad/s]. The states are
+those that random actions and random linear policies visit. For each setting, it prints the median,
+the 99th percentile and the maximum of the error.
 """
 
 import inspect
@@ -22,7 +23,7 @@ NUM_EPISODES, NUM_STEPS = 64, 60
 
 
 def visited(env_id: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and actions of random actions and of random linear policies."""
+    """Return positions, velocities and actions under random actions and random policies."""
     fall_on = "terminate_when_unhealthy" in inspect.signature(TASKS[env_id]).parameters
     env = make_env(env_id, "mujoco", **({"terminate_when_unhealthy": False} if fall_on else {}))
     low, high = env.action_low, env.action_high
@@ -49,7 +50,7 @@ def visited(env_id: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def velocities_after(env_id: str, physics: str, arrays: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Joint velocities one environment step later, ``(B, nv)``."""
+    """Return the joint velocities ``(B, nv)`` one environment step later."""
     engine = make_env(env_id, physics).physics
 
     def step(qpos: jax.Array, qvel: jax.Array, action: jax.Array) -> jax.Array:
@@ -59,7 +60,7 @@ def velocities_after(env_id: str, physics: str, arrays: tuple[np.ndarray, ...]) 
 
 
 def main() -> None:
-    """Print a line per setting of each task."""
+    """Print one line for each setting of each task."""
     for env_id in [resolve_env_id(name) for name in sys.argv[1:]] or TASKS:
         arrays = visited(env_id)
         expected = velocities_after(env_id, "mujoco", arrays)

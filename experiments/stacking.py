@@ -1,9 +1,9 @@
-"""What a stacked run costs beside one alone: time for a live environment step, on MJX.
+"""Compare the time of a live environment step of stacked cells with that of one cell, on MJX.
 
 usage: python experiments/stacking.py [ENV] [CELLS ...]    (hopper; 1 4 16)
 
-AILSRS with the tuned preset; the cells differ in seed, number of demonstrations and step size.
-Each number of cells is timed over three iterations after the first, all from the same start.
+It trains AILSRS with the tuned preset. The cells differ in seed, number of demonstrations and step
+size. Each number of cells is timed over three iterations after the first, all from the same start.
 """
 
 import sys
@@ -21,7 +21,7 @@ ITERATIONS = 3
 
 
 def main() -> None:
-    """Print a line for each number of cells."""
+    """Print one line for each number of cells."""
     env_id = resolve_env_id(sys.argv[1] if len(sys.argv) > 1 else "hopper")
     alone = None
     for num_cells in map(int, sys.argv[2:] or (1, 4, 16)):
@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def steps_per_second(env_id: str, num_cells: int) -> float:
-    """Live steps of all cells in a second."""
+    """Return the live steps of all cells per second."""
     plans = [
         plan(
             RunSpec(

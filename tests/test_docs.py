@@ -1,4 +1,4 @@
-"""The documentation: it builds, and what it says to type is right."""
+"""The documentation builds, its commands can be parsed, and its links work."""
 
 import functools
 import re
@@ -24,8 +24,9 @@ from tests.cli.test_cli import TINY, ailsrs
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 OWN_TASK = ROOT / "docs" / "own_task.md"
+OWN_ALGORITHM = ROOT / "docs" / "your_own_algorithm.md"
 
-# Added to each command as it stands, so that it takes seconds.
+# Options that are added to each command so that it takes seconds.
 SMALLER = {
     "expert": "--set num_iterations=2 num_directions=2 num_top_directions=1 episode_length=10",
     "demonstrate": "--num-trajectories 3",
@@ -89,8 +90,10 @@ def test_formulas_are_mathml(site: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_can_be_typed(page: Path) -> None:
-    """All of them are parsed, and their settings looked up; none is run."""
+def test_commands_can_be_typed(page: Path, in_tmp_path: Path) -> None:
+    """Every command is parsed and its settings are looked up, but none is run."""
+    if page == OWN_ALGORITHM:
+        Path("my_file.py").write_text(blocks(page, "python")[0])
     parser = tyro.extras.SubcommandApp()
     for name, command in app._subcommands.items():
         parser.command(_parsed_only(command.target), name=name)
@@ -116,7 +119,7 @@ def _parsed_only(command: Any) -> Any:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
-    """On a code host too, where Sphinx does not look."""
+    """Sphinx does not check the links of pages as a code host shows them."""
     for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
         assert (page.parent / link).exists(), link
 

@@ -1,4 +1,4 @@
-"""The notebooks, from a clean kernel, with less to do than they say."""
+"""The notebooks run from a clean kernel, with smaller parameters."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from ailsrs_jax.show.renderer import require_renderer
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-# What replaces the cell that is tagged "parameters".
+# The replacements of the cell that is tagged "parameters".
 QUICK = {
     "quickstart": """
 SETTINGS = {"num_iterations": 2, "num_directions": 4, "num_top_directions": 2}
@@ -53,10 +53,10 @@ def test_it_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     parameters[0].source = QUICK[path.stem]
     try:
         require_renderer()
-    except UserError:  # the rest is as good without
+    except UserError:  # the rest works without one
         notebook.cells = [cell for cell in notebook.cells if "video" not in tags(cell)]
     for cell in notebook.cells:
-        if "video" in tags(cell):  # drawing takes long without a GPU
+        if "video" in tags(cell):  # rendering is slow without a GPU
             cell.source = re.sub(r"(, seconds=4)?\)$", ", seconds=0.2, size=64)", cell.source)
     NotebookClient(notebook, timeout=250, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = [output for cell in notebook.cells for output in cell.get("outputs", [])]

@@ -51,7 +51,7 @@ def test_it_trains_resumes_and_reports(my_file: Path) -> None:
     resumed = ail.train(POINT_MASS, "point_mass.npz", resume=True, **SMALL | arguments)
     whole = ail.train(POINT_MASS, "point_mass.npz", **SMALL | arguments | {"output": None})
     np.testing.assert_array_equal(resumed.policies[0].weights, whole.policies[0].weights)
-    assert "My AILSRS" in ail.report("run", episodes=2, video=False).read_text()
+    assert f"{NAME} on {POINT_MASS}" in ail.report("run", episodes=2, video=False).read_text()
 
 
 def test_its_directions_are_orthogonal_and_its_weights_decay(my_file: Path) -> None:

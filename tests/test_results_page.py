@@ -1,4 +1,4 @@
-"""experiments/RESULTS.md: the rules of its verdicts, and what is not yet run."""
+"""The rules and verdicts of experiments/RESULTS.md, and claims that are not yet run."""
 
 import dataclasses
 import json
@@ -94,7 +94,7 @@ def write_hard(directory: Path, score: float) -> None:
     write_sweep(directory / "ant_humanoid", rows)
 
 
-CLONED = {  # returns in the paper, and some between them where it gives none
+CLONED = {  # the returns in the paper, and values between them where it gives none
     CHEETAH: ((1000, 2500, 3500, 4120), 100),
     HOPPER: ((1200, 2200, 2900, 3224), 15),
     WALKER: ((863, 870, 891, 880), 31),
@@ -169,20 +169,20 @@ def verdicts(directory: Path) -> dict[str, str]:
     return {f"{claim.section}: {claim.text}": judge(claim, evidence).verdict for claim in CLAIMS}
 
 
-def test_what_agrees_with_the_paper_reproduces_it(tmp_path: Path) -> None:
+def test_results_that_agree_with_the_paper_reproduce_it(tmp_path: Path) -> None:
     as_the_paper_says(tmp_path)
     found = verdicts(tmp_path)
     assert len(found) == len(CLAIMS) == 52  # no two have the same text
-    contradictions = {  # of the paper with itself
-        "BC succeeds only with large amounts": "partly",  # it does well with few on Swimmer
-        "Static, linear policies achieve": "partly",  # they do not on Ant and Humanoid
+    contradictions = {  # the paper contradicts itself
+        "BC succeeds only with large amounts": "partly",  # BC also does well with few on Swimmer
+        "Static, linear policies achieve": "partly",  # not on Ant and Humanoid
     }
     for claim, verdict in found.items():
         expected = [v for text, v in contradictions.items() if text in claim] or ["reproduced"]
         assert [verdict] == expected, claim
 
 
-def test_what_contradicts_the_paper_does_not_reproduce_it(tmp_path: Path) -> None:
+def test_results_that_contradict_the_paper_do_not_reproduce_it(tmp_path: Path) -> None:
     the_contrary(tmp_path)
     for claim, verdict in verdicts(tmp_path).items():
         assert verdict == "not", claim
@@ -220,7 +220,7 @@ def test_a_missing_seed_leaves_the_claim_open(tmp_path: Path) -> None:
     assert verdict(["done"] * 3 + ["failed: it diverged"]) == "not yet run"
 
 
-def test_as_many_seeds_are_wanted_as_the_sweeps_are_asked_for() -> None:
+def test_a_claim_needs_all_seeds_of_its_sweep() -> None:
     for name, number in NUM_SEEDS.items():
         spec = tomllib.loads((results.EXPERIMENTS / f"{name}.toml").read_text())
         assert len(spec["seeds"]) == number
@@ -255,7 +255,7 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
     target = tmp_path / "results"
 
     planned = {field.name: "a" for field in dataclasses.fields(Cell)}
-    planned |= {"settings": {}, "all_settings": {}}
+    planned |= {"spec": {"env": "a", "seeds": [0]}, "all_settings": {}}
     cells = [planned, planned | {"name": "b"}]
     (sweep / "sweep.json").write_text(json.dumps({"cells": cells, "episodes": 1}))
     results.add("paper", sweep, "HEAD", target)
@@ -269,7 +269,7 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
     assert f"| paper | {origin} | `{commit[:7]}` |" in page
 
     subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "later"], check=True)
-    for _ in range(2):  # the newest is last, and there once
+    for _ in range(2):  # the newest commit is last and occurs once
         results.add("paper", sweep, "HEAD", target)
     commits = json.loads((target / "paper" / "provenance.json").read_text())["commits"]
     assert len(commits) == 2
@@ -283,11 +283,11 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
         results.page(results.read_all(target), target)
 
 
-def test_the_page_is_what_the_committed_results_say() -> None:
+def test_the_page_follows_from_the_committed_results() -> None:
     assert results.page(results.read_all(results.RESULTS)) == results.PAGE.read_text()
 
 
-def test_the_readme_is_what_the_committed_results_say() -> None:
+def test_the_readme_agrees_with_the_committed_results() -> None:
     readme = README.read_text()
     evidence = Evidence(results.read_all(results.RESULTS))
     rows = {
@@ -310,13 +310,16 @@ def test_the_readme_is_what_the_committed_results_say() -> None:
         values = [plus_minus(group.values("normalized"), 2) for group in hard]
         assert " and ".join(values) in readme, label
     most = [evidence.group("AILSRS", task, MOST).values("normalized").mean() for task in TASKS]
-    assert f"from forty AILSRS is at {min(most):.2f} or above on each" in readme
+    assert f"From forty, AILSRS is at {min(most):.2f} or above on each task" in readme
     (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
-    assert all(part in readme for part in claims)
+    total, verdicts = claims
+    reproduced, partly, rest = re.findall(r"\d+", verdicts)
+    summary = f"Of {total}, {reproduced} are reproduced, {partly} partly, {rest} not."
+    assert summary in readme
 
 
 def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
-    """As docs/algorithms.md says; no more than the expert's return counts on Walker2d."""
+    """docs/algorithms.md says so; on Walker2d a return counts at most as much as the expert's."""
     sweeps = results.read_all(results.RESULTS)
     page = (README.parent / "docs" / "algorithms.md").read_text()
 
@@ -328,12 +331,13 @@ def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
     hopper = values("held_back")
     assert max(hopper, key=lambda label: hopper[label].mean()) == "N = 16, penalty 10"
     chosen, before = (plus_minus(hopper[f"N = {n}, penalty 10"], 2) for n in (16, 32))
-    assert f"kept {chosen} of the expert, 32 for 60, as before, {before}." in page
+    assert f"16 directions for 120 iterations kept {chosen} of the expert." in page
+    assert f"32 directions for 60 iterations, kept {before}." in page
 
     walker = values("held_back_walker2d")
     bounded = {label: np.minimum(returns, 1.0).mean() for label, returns in walker.items()}
     assert max(bounded, key=bounded.__getitem__) == "N = 32, 20 discriminator steps"
     labels = [f"N = 32, {steps} discriminator steps" for steps in (20, 3)]
     chosen, before = (f"{bounded[label]:.2f}" for label in labels)
-    assert f"20 kept {chosen}, 3, as before, {before};" in page
+    assert f"20 steps kept {chosen} and the former 3 steps kept {before}." in page
     assert " and ".join(plus_minus(walker[label], 2) for label in labels) in page

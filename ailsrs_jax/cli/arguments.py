@@ -1,9 +1,10 @@
-"""Arguments that the commands share."""
+"""Options that several commands share."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.errors import UserError
 
@@ -14,42 +15,57 @@ EnvName = Annotated[
         help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
     ),
 ]
-AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo")]
-# Where help would say "default: None" or "default: False", it says what happens instead.
-Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
-TrackerName = Annotated[str | None, arg(metavar="wandb|trackio", help_behavior_hint="")]
-OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
-Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
-Flag = Annotated[bool, arg(help_behavior_hint="")]
-Quiet = Annotated[bool, arg(help="Print warnings and errors only.", help_behavior_hint="")]
-Json = Annotated[
-    bool,
+PolicyPath = Positional[Annotated[Path, arg(metavar="DIR|POLICY")]]
+PhysicsName = Annotated[
+    str,
     arg(
-        name="json",
-        help="Print one JSON object on standard output, and all else on standard error.",
+        metavar="auto|mjx|mujoco",
+        help="mjx is pure JAX, mujoco the C engine; auto takes mjx if there is an accelerator.",
+    ),
+]
+RealPhysicsName = Annotated[
+    str,
+    arg(
+        metavar="gymnasium|auto|mjx|mujoco",
+        help="gymnasium is the real environment, with the policy in NumPy.",
+    ),
+]
+Seed = Annotated[int, arg(help="Seed of all random numbers, from 0.")]
+# An empty hint replaces "(default: None)" and "(default: False)"; the help says what happens.
+Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
+Every = Annotated[int, arg(metavar="K")]
+OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+TrackerName = Annotated[
+    str | None,
+    arg(
+        metavar="wandb|trackio",
+        help="Also send the metrics to Weights & Biases or Trackio; needs the extra of that name.",
         help_behavior_hint="",
     ),
 ]
-PhysicsName = Annotated[str, arg(metavar="auto|mjx|mujoco")]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
 Settings = Annotated[
     UseAppendAction[tuple[tuple[str, ...], ...]],
-    arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"),
+    arg(
+        name="set",
+        metavar="NAME=VALUE",
+        help="Settings to change, as in --set num_iterations=50; a wrong name lists all of them.",
+        help_behavior_hint="(repeatable)",
+    ),
 ]
 Seeds = Annotated[
     UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
 ]
 
 
-def assignments(
-    groups: tuple[tuple[str, ...], ...], iterations: int | None = None
-) -> dict[str, str]:
-    """Settings to change, as text by name.
+def assignments(groups: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Return the values of ``--set`` as text, by the name of the setting.
 
     Raises:
         UserError: one of them is not an assignment.
     """
-    changes = {} if iterations is None else {"num_iterations": str(iterations)}
+    changes = {}
     for text in (text for group in groups for text in group):
         name, equals, value = text.partition("=")
         if not equals:

@@ -1,47 +1,49 @@
-"""The commands that show: ``ailsrs render`` and ``ailsrs report``."""
+"""The commands that show or hand on a policy: ``ailsrs render``, ``report`` and ``export``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from rich.markup import escape
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Flag, Json, OptionalPath, PhysicsName, Quiet
-from ailsrs_jax.cli.console import make_console, print_json
+from ailsrs_jax.cli.arguments import (
+    Flag,
+    OptionalPath,
+    PhysicsName,
+    PolicyPath,
+    RealPhysicsName,
+    Seed,
+)
+from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.versions import VersionError
 
 
 def render(
-    policy: Positional[Annotated[Path, arg(metavar="DIR|POLICY")]],
+    policy: PolicyPath,
     output: Annotated[Path, arg(metavar="FILE.mp4|FILE.html")],
     expert: OptionalPath = None,
     alone: Flag = False,
     physics: PhysicsName = "auto",
-    seed: int = 0,
+    seed: Seed = 0,
     seconds: float = 10.0,
     size: int = 480,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Show one episode of a policy beside the expert's, from the same initial state.
 
     Example: ailsrs render runs/hopper --output hopper.mp4
 
     Args:
-        policy: A policy.npz, or a run directory, of which the first seed is shown.
+        policy: A policy.npz, or a run directory, whose first seed is shown.
         output: A video, or a page with Brax's interactive viewer, which needs no renderer.
-        expert: The expert's policy.npz; without it, the one that ships with the package, if any.
-        alone: Show no expert.
-        physics: mjx is pure JAX, mujoco the C engine; auto takes mjx where there is an accelerator.
-        seed: Of the initial state, from 0.
-        seconds: Show at most so many seconds of the episode, in real time.
+        expert: The expert's policy.npz; by default the shipped expert of the task, if any.
+        alone: Do not show an expert.
+        seconds: Show at most this much of the episode, in real time.
         size: Height and width of each picture in pixels, an even number.
     """
     from ailsrs_jax.show import video
 
-    console = make_console(quiet=quiet, as_json=as_json)
-    with console.status("rendering"):
+    with terminal.console.status("rendering"):
         animation = video.render(
             policy,
             output,
@@ -52,21 +54,13 @@ def render(
             seconds=seconds,
             size=size,
         )
-    shown = ", ".join(
-        f"{label} {episode.num_steps} steps, return {episode.env_rewards.sum():.0f}"
-        for label, episode in zip(animation.labels, animation.replays, strict=True)
-    )
-    console.print(f"{shown}: {escape(str(output))}", soft_wrap=True)
-    if as_json:
-        episodes = [
-            {
-                "label": label,
-                "length": episode.num_steps,
-                "return": float(episode.env_rewards.sum()),
-            }
-            for label, episode in zip(animation.labels, animation.replays, strict=True)
-        ]
-        print_json({"output": str(output), "episodes": episodes})
+    episodes: list[dict[str, Any]] = [
+        {"label": label, "length": replay.num_steps, "return": float(replay.env_rewards.sum())}
+        for label, replay in zip(animation.labels, animation.replays, strict=True)
+    ]
+    shown = [f"{e['label']} {e['length']} steps, return {e['return']:.0f}" for e in episodes]
+    terminal.line(f"{', '.join(shown)}: {output}")
+    terminal.json({"output": str(output), "episodes": episodes})
 
 
 def report(
@@ -74,31 +68,61 @@ def report(
     output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
     episodes: int = 100,
     no_video: Flag = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Write one self-contained HTML page on a run or a sweep.
 
-    Settings, curves, tables, a video, the command that made it, versions.
+    It shows settings, curves, tables, a video, the command that made it, and versions.
 
     Example: ailsrs report runs/hopper
 
     Args:
-        directory: A run directory or a sweep's, finished or not.
+        directory: The directory of a run or a sweep, finished or not.
         output: The page; by default report.html in the directory.
-        episodes: Of each policy of a run, to measure its return.
+        episodes: Episodes of each policy of a run, to measure its return.
         no_video: Leave out the video of the policies, which takes the most time.
     """
     try:
-        from ailsrs_jax.show import report as html_report
+        from ailsrs_jax.show.report import report
     except VersionError:
         raise
     except ImportError:
         raise UserError("a report needs pip install 'ailsrs_jax[plot]'") from None
 
-    console = make_console(quiet=quiet, as_json=as_json)
-    with console.status("writing the report"):
-        path = html_report.report(directory, output, episodes=episodes, video=not no_video)
-    console.print(escape(str(path)), soft_wrap=True)
-    if as_json:
-        print_json({"output": str(path)})
+    with terminal.console.status("writing the report"):
+        path = report(directory, output, episodes=episodes, video=not no_video)
+    terminal.line(str(path))
+    terminal.json({"output": str(path)})
+
+
+def export(
+    policy: PolicyPath,
+    output: Annotated[Path, arg(metavar="FILE|DIRECTORY")],
+    episodes: int = 100,
+    physics: RealPhysicsName = "gymnasium",
+    seed: Seed = 0,
+    license_id: Annotated[str, arg(name="license", metavar="ID")] = "unknown",
+    terminal: TerminalOptions = TERMINAL,
+) -> None:
+    """Write a policy for other programs, or with a model card for other people.
+
+    Example: ailsrs export runs/hopper --output policy.onnx
+
+    Example: ailsrs export runs/hopper --output hopper --license apache-2.0
+
+    Args:
+        policy: A policy.npz or .safetensors, or the directory of a run with one seed.
+        output: A file that ends in .onnx, .safetensors or .npz; or a new directory for all three
+            and a model card for the Hugging Face Hub.
+        episodes: Episodes for the return in the model card, of at most 1000 steps.
+        license_id: The policy's license as the Hub writes it: apache-2.0, mit, cc-by-4.0 and so on.
+    """
+    from ailsrs_jax.show.export import export
+
+    evaluation = export(
+        policy, output, num_episodes=episodes, physics=physics, seed=seed, license_id=license_id
+    )
+    result = f", return {evaluation} over {episodes} episodes" if evaluation else ""
+    terminal.line(f"{policy} is now in {output}{result}")
+    measured = evaluation_fields(evaluation) if evaluation else {}
+    terminal.json({"policy": str(policy), "output": str(output), **measured})

@@ -7,15 +7,18 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
-from rich.markup import escape
+from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Count, Flag, Json, OptionalPath, Quiet, TrackerName
-from ailsrs_jax.cli.console import make_console, print_json, this_command
+from ailsrs_jax.cli.arguments import Count, Flag, OptionalPath, TrackerName
+from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, this_command
 from ailsrs_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from ailsrs_jax.sweeps.estimate import CostEstimate
 
 LONGEST_SHARD = 20  # characters
 
@@ -28,29 +31,25 @@ def sweep(
     launcher: Annotated[str, arg(metavar="local|ray")] = "local",
     track: TrackerName = None,
     dry_run: Flag = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Train every cell of a declarative grid: algorithms, tasks, demonstrations, settings, seeds.
 
-    The same command goes on where it was stopped.
+    The same command continues a sweep that was stopped.
 
     Example: ailsrs sweep experiments/smoke.toml --dry-run
 
     Example: ailsrs sweep paper.toml --output /shared/paper --shard 0/4
 
     Args:
-        spec: A TOML file; docs/sweeps.md says what it holds.
-        output: The directory of the sweep; by default runs/NAME, of a file NAME.toml.
-        shard: Train only the I-th of N parts, I from 0, of a sweep on several machines.
-        max_parallel: With MJX, train at most so many cells at the same time, as one program; by
-            default 64.
-        launcher: On this machine, or on the Ray cluster that RAY_ADDRESS names.
-        track: Send the metrics of each cell to Weights & Biases or Trackio, too, an extra of the
-            same name.
-        dry_run: Only say what would run, and what it costs at most.
+        spec: A TOML file; docs/sweeps.md describes its format.
+        output: The directory of the sweep; by default runs/NAME for a file NAME.toml.
+        shard: Train only the I-th of N parts, I from 0, to share a sweep among machines.
+        max_parallel: Train at most N cells as one program, with MJX; by default 64.
+        launcher: Train on this machine, or on the Ray cluster that RAY_ADDRESS names.
+        dry_run: Only print what would run, and what it costs at most.
     """
-    from ailsrs_jax.cli.progress import SweepProgress, print_estimate
+    from ailsrs_jax.cli.progress import SweepProgress
     from ailsrs_jax.cli.signals import StopSignals
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.sweeps import sweep as sweeps
@@ -59,7 +58,6 @@ def sweep(
 
     sweeps.require_launcher(launcher)
     require_tracker(track)
-    console = make_console(quiet=quiet, as_json=as_json)
     grid = expand(read_spec(spec))
     output = output or Path("runs") / spec.stem
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
@@ -70,76 +68,94 @@ def sweep(
             grid.require_same(output / sweeps.SWEEP_FILE)
             sweeps.require_same_stacks(pending, output)
         estimates = estimate(pending)
-        print_estimate(console, estimates)
-        if as_json:
-            print_json({"to_train": [dataclasses.asdict(each) for each in estimates]})
+        print_estimate(terminal.console, estimates)
+        terminal.json({"to_train": [dataclasses.asdict(each) for each in estimates]})
         return
     grid.save(output / sweeps.SWEEP_FILE)
-    console.print(
-        f"[bold]{escape(str(spec))}[/] · {len(grid.cells)} cells · {escape(str(output))}",
-        soft_wrap=True,
-    )
+    terminal.line(f"{spec} · {len(grid.cells)} cells · {output}")
     stop = StopSignals()
     listening = stop if launcher == "local" else contextlib.nullcontext()
     try:
-        with listening, SweepProgress(console, units, output) as watch:
+        with listening, SweepProgress(terminal.console, units, output) as watch:
             rows = sweeps.run_units(grid, pending, output, launcher, track, watch, stop)
     except KeyboardInterrupt:
-        print(f"saved; go on with:\n{this_command()}", file=sys.stderr)
+        print(f"saved; continue with:\n{this_command()}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
-    report(console, rows, output, as_json=as_json)
+    report_rows(terminal, rows, output)
 
 
 def merge(
     output: Positional[Path],
     sources: Positional[tuple[Path, ...]],
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: TerminalOptions = TERMINAL,
 ) -> None:
-    """Put the directories of a sweep's shards together.
+    """Merge the directories of a sweep's shards.
 
     Example: ailsrs merge runs/paper shards/0 shards/1
 
     Args:
-        output: The directory to write, as the whole sweep on one machine would have left it.
+        output: The directory to write, as if the whole sweep had run on one machine.
         sources: The directories of the shards.
     """
     from ailsrs_jax.sweeps.merge import merge_sweeps
 
-    console = make_console(quiet=quiet, as_json=as_json)
-    report(console, merge_sweeps(output, sources), output, as_json=as_json)
+    report_rows(terminal, merge_sweeps(output, sources), output)
 
 
-def report(
-    console: Console, rows: Sequence[Mapping[str, Any]], output: Path, *, as_json: bool
-) -> None:
-    """Write table and figures, and say what has failed: then the exit code is 1."""
+def report_rows(terminal: Terminal, rows: Sequence[Mapping[str, Any]], output: Path) -> None:
+    """Write tables and figures, and print what failed; if any cell did, exit with code 1."""
     from ailsrs_jax.show.sweep_report import report_sweep
     from ailsrs_jax.sweeps.results import DONE, NOT_RUN
 
     report_sweep(output)
-    if as_json:
-        print_json({"output": str(output), "cells": rows})
+    terminal.json({"output": str(output), "cells": rows})
     done = sum(row["status"] == DONE for row in rows)
     failed = [row for row in rows if row["status"] not in (DONE, NOT_RUN)]
-    errors = Console(stderr=True, soft_wrap=True)  # --quiet leaves them
+    errors = Console(stderr=True, soft_wrap=True, highlight=False)  # --quiet does not silence it
     for row in failed:
-        errors.print(f"{row['cell']} {row['status']}", style="red", markup=False, highlight=False)
-    console.print(
-        f"{done} of {len(rows)} cells done; table.md, figures/ and results.csv are in "
-        f"{escape(str(output))}",
-        soft_wrap=True,
+        errors.print(f"{row['cell']} {row['status']}", style="red", markup=False)
+    terminal.line(
+        f"{done} of {len(rows)} cells done; table.md, figures/ and results.csv are in {output}"
     )
     if failed:
-        errors.print(f"{len(failed)} of {len(rows)} failed; the same command tries them again")
+        errors.print(
+            f"{len(failed)} of {len(rows)} cells failed; the same command tries them again"
+        )
         sys.exit(1)
 
 
+def print_estimate(console: Console, estimates: Sequence["CostEstimate"]) -> None:
+    """Print the table of ``--dry-run`` and the totals."""
+    columns = ("algorithm", "task", "physics", "cells", "programs", "steps, at most")
+    table = Table(*columns, "memory", "physics alone", box=None)
+    for row in estimates:
+        table.add_row(
+            row.algorithm,
+            row.env_id,
+            row.engine,
+            str(row.num_cells),
+            str(row.num_programs),
+            f"{row.env_steps / 1e6:,.1f} M",
+            f"{row.memory_bytes / 2**20:,.0f} MB",
+            "" if row.seconds is None else f"{row.seconds / 60:,.0f} min",
+        )
+    console.print(table)
+    steps = sum(row.env_steps for row in estimates) / 1e6
+    text = (
+        f"to train: {sum(row.num_cells for row in estimates)} cells in "
+        f"{sum(row.num_programs for row in estimates)} programs, at most {steps:,.1f} M steps"
+    )
+    seconds = [row.seconds for row in estimates if row.seconds is not None]
+    if seconds:
+        text += f", {sum(seconds) / 3600:,.1f} h for their physics alone on this machine"
+    console.print(text, soft_wrap=True)
+
+
 def parse_shard(text: str) -> tuple[int, int]:
-    """``I/N`` as two numbers.
+    """Return the two numbers of ``I/N``.
 
     Raises:
-        UserError: it is not.
+        UserError: the text has another form.
     """
     index, slash, count = text.partition("/")
     if not (slash and index.isdecimal() and count.isdecimal() and len(text) < LONGEST_SHARD):

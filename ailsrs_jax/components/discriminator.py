@@ -1,7 +1,7 @@
-"""The discriminator: its network, its losses and the rewards read off it.
+"""The discriminator: its network, its losses, and the rewards computed from its score.
 
-Convention, here and everywhere: the score D(s, a) = sigmoid(logit) is the judged probability that
-a step is the expert's. The expert's label is 1 (the paper's b) and the policy's is 0 (its a).
+Everywhere in this package, the score D(s, a) = sigmoid(logit) is the estimated probability that a
+step is the expert's. The label of the expert is 1 (b in the paper), that of the policy 0 (a).
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ class Discriminator(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: jax.Array) -> jax.Array:
-        """Logits ``(...)`` of inputs ``(..., d)``; expert-like is high."""
+        """Return logits ``(...)`` of inputs ``(..., d)``; they are high for the expert."""
         hidden = inputs
         for size in HIDDEN_SIZES:
             hidden = nn.tanh(nn.Dense(size)(hidden))
@@ -33,9 +33,9 @@ class Discriminator(nn.Module):
 
 
 def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
-    """LS-GAN (Mao et al., 2017): the loss ``(batch)`` of pairs of steps, ½(D_e − 1)² + ½(D_p − 0)².
+    """Return the loss ``(batch)`` of LS-GAN (Mao et al., 2017), ½(D_e − 1)² + ½(D_p − 0)².
 
-    Its mean is ½ E_expert[(D − 1)²] + ½ E_policy[(D − 0)²].
+    Its mean over pairs of steps is ½ E_expert[(D − 1)²] + ½ E_policy[(D − 0)²].
     """
     expert_error = jax.nn.sigmoid(expert_logits) - EXPERT_LABEL
     policy_error = jax.nn.sigmoid(policy_logits) - POLICY_LABEL
@@ -43,12 +43,12 @@ def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> ja
 
 
 def cross_entropy_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
-    """GAIL's (Ho and Ermon, 2016): the loss ``(batch)`` of pairs, −log D_e − log(1 − D_p)."""
+    """Return GAIL's loss ``(batch)`` (Ho and Ermon, 2016), −log D_e − log(1 − D_p)."""
     return jax.nn.softplus(-expert_logits) + jax.nn.softplus(policy_logits)
 
 
 def entropy(logits: jax.Array) -> jax.Array:
-    """Entropy ``(...)`` in nats of the judgement, −D log D − (1 − D) log(1 − D)."""
+    """Return the entropy ``(...)`` of the score in nats, −D log D − (1 − D) log(1 − D)."""
     return jax.nn.softplus(logits) - jax.nn.sigmoid(logits) * logits
 
 
@@ -58,10 +58,10 @@ def gradient_penalty(
     expert_inputs: jax.Array,
     key: jax.Array,
 ) -> jax.Array:
-    """``(batch)`` ‖∇_x D(x)‖² at random points x between pairs of the inputs ``(batch, d)``.
+    """Return ‖∇_x D(x)‖² ``(batch)`` at random points between pairs of inputs ``(batch, d)``.
 
-    Zero-centred: it bounds how steep the score can get between policy and expert, which keeps the
-    reward informative when the two are easily told apart (Thanh-Tung et al., 2019).
+    The penalty bounds the slope of the score between policy and expert. So the reward stays
+    informative when the two are easy to tell apart (Thanh-Tung et al., 2019).
     """
     fractions = jax.random.uniform(key, (policy_inputs.shape[0], 1))
     points = fractions * policy_inputs + (1.0 - fractions) * expert_inputs
@@ -70,22 +70,30 @@ def gradient_penalty(
 
 
 def gail_reward(logits: jax.Array) -> jax.Array:
-    """The paper's reward of a step, −log(1 − D) = softplus(logit) > 0; expert-like is high."""
+    """Return the paper's reward of a step, −log(1 − D) = softplus(logit) > 0."""
     return jax.nn.softplus(logits)
 
 
 def airl_reward(logits: jax.Array) -> jax.Array:
-    """AIRL's (Fu et al., 2018) reward of a step, log D − log(1 − D) = logit, of either sign."""
+    """Return AIRL's reward (Fu et al., 2018), log D − log(1 − D) = logit, of either sign."""
     return logits
 
 
 def amp_reward(logits: jax.Array) -> jax.Array:
-    """AMP's (Peng et al., 2021) reward of a step, 1 − (1 − D)² from 0 to 1.
+    """Return AMP's reward (Peng et al., 2021), 1 − (1 − D)² from 0 to 1.
 
-    There it is max(0, 1 − ¼ (d − 1)²) for labels −1 and 1, which d = 2 D − 1 turns into this.
+    AMP writes it as max(0, 1 − ¼ (d − 1)²) for labels −1 and 1; here d = 2 D − 1.
     """
     return 1.0 - jnp.square(1.0 - jax.nn.sigmoid(logits))
 
 
-LOSSES = {"least_squares": least_squares_loss, "cross_entropy": cross_entropy_loss}
-REWARDS = {"gail": gail_reward, "airl": airl_reward, "amp": amp_reward}
+# A loss or reward of this package is a function above and an entry here.
+LOSSES: dict[str, Callable[..., jax.Array]] = {
+    "least_squares": least_squares_loss,
+    "cross_entropy": cross_entropy_loss,
+}
+REWARDS: dict[str, Callable[..., jax.Array]] = {
+    "gail": gail_reward,
+    "airl": airl_reward,
+    "amp": amp_reward,
+}

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 def energy_distance(x: jax.Array, y: jax.Array, y_spread: jax.Array) -> jax.Array:
     """Estimate D(X, Y) = 2 E‖X − Y‖ − E‖X − X'‖ − E‖Y − Y'‖ from ``x (m, d)`` and ``y (k, d)``.
 
-    It is zero just when both have the same distribution, needs no density and nothing trained.
-    ``y_spread`` is ``mean_distance(y, y)``, computed once where ``y`` stays the same.
+    It is zero exactly if both have the same distribution. ``y_spread`` is ``mean_distance(y, y)``,
+    which is computed once if ``y`` stays the same.
     """
     return 2.0 * mean_distance(x, y) - mean_distance(x, x) - y_spread
 
 
 def mean_distance(x: jax.Array, y: jax.Array) -> jax.Array:
-    """E‖X − Y‖ over all pairs of rows of ``x (m, d)`` and ``y (k, d)``."""
+    """Return E‖X − Y‖ over all pairs of rows of ``x (m, d)`` and ``y (k, d)``."""
     # ‖x − y‖² = ‖x‖² + ‖y‖² − 2 x·y: one matrix product instead of an (m, k, d) array.
     products = jnp.matmul(x, y.T, precision="highest")
     squares = jnp.sum(x * x, -1)[:, None] + jnp.sum(y * y, -1) - 2.0 * products

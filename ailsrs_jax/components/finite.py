@@ -1,4 +1,4 @@
-"""Keeping what is learned finite."""
+"""Keep learned numbers finite."""
 
 from typing import TypeVar
 
@@ -9,6 +9,6 @@ Tree = TypeVar("Tree")
 
 
 def finite_or(new: Tree, old: Tree) -> Tree:
-    """``new`` if all of its numbers are finite, else ``old``: a step that breaks is not taken."""
+    """Return ``new`` if all of its numbers are finite, else ``old``."""
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new)]).all()
     return jax.tree.map(lambda x, y: jnp.where(finite, x, y), new, old)

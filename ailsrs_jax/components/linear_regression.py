@@ -7,13 +7,13 @@ import jax.numpy as jnp
 def ridge_regression(
     inputs: jax.Array, targets: jax.Array, mask: jax.Array, penalty: float = 1e-4
 ) -> jax.Array:
-    """The ``W (p, n)`` that minimises mean ‖W x − y‖² + penalty ‖W‖² over the masked samples.
+    """Return the ``W (p, n)`` that minimises mean ‖W x − y‖² + penalty ‖W‖² over masked samples.
 
     Args:
         inputs: ``(..., n)`` x, standardised.
         targets: ``(..., p)`` y.
-        mask: ``(...)`` bool, which samples count.
-        penalty: keeps the solution defined when inputs are collinear or few.
+        mask: ``(...)`` bool, the samples that count.
+        penalty: makes the solution unique when inputs are collinear or few.
     """
     mask = mask.reshape(-1, 1)
     x = jnp.where(mask, inputs.reshape(-1, inputs.shape[-1]), 0.0)

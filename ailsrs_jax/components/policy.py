@@ -1,4 +1,4 @@
-"""Policies: the paper's linear one and multilayer perceptrons; and the choice of which to keep."""
+"""Policies: the paper's linear one and multilayer perceptrons; and the best one so far."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from flax import struct
 class LinearPolicy(struct.PyTreeNode):
     """A linear policy of standardised observations, a = clip(M diag(Σ)^(−1/2) (s − μ)).
 
-    With leading batch axes on its leaves it is a batch of policies, as ``jax.vmap`` makes them.
+    With leading axes on its leaves it is a batch of policies, as ``jax.vmap`` makes them.
     """
 
     weights: jax.Array  # (p, n) M
@@ -20,14 +20,14 @@ class LinearPolicy(struct.PyTreeNode):
     action_high: jax.Array  # (p,)
 
     def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
-        """The action ``(p,)`` for one observation ``(n,)``, ``noise`` added, within its range."""
-        # Not in TF32, so that the policy is the one that NumPy computes from the exported file.
+        """Return the action ``(p,)`` for an observation ``(n,)``: noise is added, then clipped."""
+        # TF32 would give other actions than NumPy gives with the exported file.
         standardized = (observation - self.mean) / self.std
         action = jnp.matmul(self.weights, standardized, precision="highest")
         return jnp.clip(action + noise, self.action_low, self.action_high)
 
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":
-        """The batch of policies with these ``weights (B, p, n)`` and this one's statistics."""
+        """Return the batch of policies with these ``weights (B, p, n)`` and its statistics."""
         batch: LinearPolicy = repeated(self, len(weights))
         return batch.replace(weights=weights)
 
@@ -47,15 +47,15 @@ class MlpPolicy(struct.PyTreeNode):
     action_std: jax.Array  # (p,) of the Gaussian
 
     def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
-        """The action ``(p,)`` for one observation ``(n,)``, ``noise`` added, within its range."""
+        """Return the action ``(p,)`` for an observation ``(n,)``: noise is added, then clipped."""
         return self.clip(self.unclipped(observation) + noise)
 
     def unclipped(self, observation: jax.Array) -> jax.Array:
-        """The mean ``(p,)`` of the Gaussian for one observation ``(n,)``."""
+        """Return the mean ``(p,)`` of the Gaussian for an observation ``(n,)``."""
         return perceptron(self.weights, self.biases, (observation - self.mean) / self.std)
 
     def clip(self, action: jax.Array) -> jax.Array:
-        """The part of an action ``(..., p)`` that the actuators can do."""
+        """Clip an action ``(..., p)`` to the actuators' range."""
         return jnp.clip(action, self.action_low, self.action_high)
 
 
@@ -65,7 +65,7 @@ Policy = LinearPolicy | MlpPolicy
 def perceptron(
     weights: tuple[jax.Array, ...], biases: tuple[jax.Array, ...], inputs: jax.Array
 ) -> jax.Array:
-    """Outputs ``(..., out)`` of a multilayer perceptron for ``inputs (..., in)``.
+    """Return outputs ``(..., out)`` of a multilayer perceptron for ``inputs (..., in)``.
 
     Each layer has ``weights (out, in)`` and ``biases (out,)``; all but the last end in tanh.
     """
@@ -77,26 +77,26 @@ def perceptron(
 
 
 def repeated(policy: Any, num_policies: int) -> Any:
-    """The batch of ``num_policies`` times the same ``policy``."""
+    """Return a batch of ``num_policies`` copies of ``policy``."""
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (num_policies, *x.shape)), policy)
 
 
 class KeptPolicy(struct.PyTreeNode):
-    """The best policy so far by some score."""
+    """The best policy so far, by a score."""
 
     policy: Policy
     score: jax.Array  # () higher is better; −∞ before the first candidate
-    iteration: jax.Array  # () int32, when it was found
+    iteration: jax.Array  # () int32, in which it was found
 
     def offer(self, policy: Policy, score: jax.Array, iteration: jax.Array) -> "KeptPolicy":
-        """Keep ``policy`` instead if its score is higher; a score that is NaN never is."""
+        """Keep ``policy`` instead if its score is higher; NaN is never higher."""
         candidate = KeptPolicy(policy, score, iteration)
         better = score > self.score
         return jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
 
 
 def keep(policy: Policy) -> KeptPolicy:
-    """Start with ``policy``, to be replaced by the first candidate that has a score."""
+    """Start with ``policy``; the first candidate with a score replaces it."""
     return KeptPolicy(
         policy, score=jnp.full((), -jnp.inf, jnp.float32), iteration=jnp.zeros((), jnp.int32)
     )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jax.scipy.sparse.linalg import cg
 
-# A step may exceed the bound on the divergence by so much: both are estimates from a batch.
+# A step may exceed the bound on the divergence by this factor: both are estimates from a batch.
 DIVERGENCE_SLACK = 1.5
 
 Parameters = TypeVar("Parameters")
@@ -24,17 +24,17 @@ def generalized_advantages(
     discount: float,
     decay: float,
 ) -> jax.Array:
-    """Generalized advantage estimates ``(T, ...)`` (Schulman et al., ICLR 2016).
+    """Return generalized advantage estimates ``(T, ...)`` (Schulman et al., ICLR 2016).
 
         A_t = δ_t + γ λ A_{t+1},   δ_t = r_t + γ V(s_{t+1}) − V(s_t)
 
-    Nothing is expected after a terminal state: V(s_{t+1}) counts as 0 there. Where an episode is
-    over, of its terminal state or its time limit, the sum ends.
+    V(s_{t+1}) counts as 0 for a terminal state. The sum ends where an episode is over, in a
+    terminal state or at its time limit.
 
     Args:
         rewards: ``(T, ...)`` r.
         values: ``(T, ...)`` V(s_t).
-        next_values: ``(T, ...)`` V(s_{t+1}), of the state that followed in the same episode.
+        next_values: ``(T, ...)`` V(s_{t+1}), of the next state of the same episode.
         terminated: ``(T, ...)`` bool, whether that state is terminal.
         over: ``(T, ...)`` bool, whether the episode ended there.
         discount: γ.
@@ -55,7 +55,7 @@ def generalized_advantages(
 
 
 def gaussian_log_density(actions: jax.Array, means: jax.Array, log_std: jax.Array) -> jax.Array:
-    """``(...)`` log density of ``actions (..., p)`` under N(``means``, diag(exp(2 log_std)))."""
+    """Return log densities ``(...)`` of actions ``(..., p)``, N(means, diag(exp(2 log_std)))."""
     z = (actions - means) / jnp.exp(log_std)
     return jnp.sum(-0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2.0 * jnp.pi), axis=-1)
 
@@ -63,7 +63,7 @@ def gaussian_log_density(actions: jax.Array, means: jax.Array, log_std: jax.Arra
 def gaussian_divergence(
     means: jax.Array, log_std: jax.Array, other_means: jax.Array, other_log_std: jax.Array
 ) -> jax.Array:
-    """``(...)`` KL(first ‖ other), in nats, of diagonal Gaussians."""
+    """Return KL(first ‖ other) ``(...)`` of diagonal Gaussians, in nats."""
     variance, other_variance = jnp.exp(2.0 * log_std), jnp.exp(2.0 * other_log_std)
     squares = (variance + jnp.square(means - other_means)) / (2.0 * other_variance)
     return jnp.sum(other_log_std - log_std + squares - 0.5, axis=-1)
@@ -72,9 +72,9 @@ def gaussian_divergence(
 def fisher_product(
     divergence: Callable[[jax.Array], jax.Array], parameters: jax.Array, vector: jax.Array
 ) -> jax.Array:
-    """F v, with F the Hessian of ``divergence`` at its minimum ``parameters``, the Fisher matrix.
+    """Return F v, where F is the Hessian of ``divergence`` at its minimum, the Fisher matrix.
 
-    Forward over reverse: the matrix is never formed.
+    Forward over reverse differentiation does not form the matrix.
     """
     return jax.jvp(jax.grad(divergence), (parameters,), (vector,))[1]
 
@@ -90,18 +90,19 @@ def trust_region_step(
     damping: float,
     num_backtracks: int,
 ) -> tuple[Parameters, dict[str, jax.Array]]:
-    """The natural gradient step of the largest length that the trust region allows.
+    """Take the longest natural gradient step that the trust region allows.
 
         x ≈ (F + c I)^(−1) g,   step = x √(2 d / xᵀ(F + c I)x)
 
-    by conjugate gradients, halved until the gain is no smaller and the divergence is within
-    :data:`DIVERGENCE_SLACK` times its bound; if it never is, the parameters stay.
+    x is found by conjugate gradients. The step is halved until the gain is no smaller and the
+    divergence is within :data:`DIVERGENCE_SLACK` times its bound. If that never happens, the
+    parameters stay.
 
     Args:
         parameters: θ, any pytree.
-        gain: what to maximise, of the parameters; the gradient g is its.
-        divergence: from the policy of ``parameters``.
-        curvature: the same from fewer samples, whose Hessian F is.
+        gain: the function of the parameters to maximise; g is its gradient.
+        divergence: of other parameters from ``parameters``.
+        curvature: the divergence estimated from fewer samples; F is its Hessian.
         max_divergence: d, in nats.
         iterations: of conjugate gradients.
         damping: c.
@@ -126,7 +127,7 @@ def trust_region_step(
         attempt, *_ = carry
         candidate = flat + 0.5**attempt * length * direction
         moved = divergence(unravel(candidate))
-        # Of NaN neither comparison is true.
+        # Both comparisons are false for NaN.
         within = moved <= DIVERGENCE_SLACK * max_divergence
         accepted = (gain(unravel(candidate)) >= before) & within
         return attempt + 1, candidate, moved, accepted

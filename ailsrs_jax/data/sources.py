@@ -50,27 +50,26 @@ class Source:
         if self.kind == "expert":
             shipped = "of the expert that ships with the package"
             return shipped if self.name is None else f"{shipped} and has the paper's return"
-        left_out = self.num_left_out and f" ({self.num_left_out} truncated episodes left out)"
-        return f"{self.argument}{left_out or ''}"
+        episodes = "episode" if self.num_left_out == 1 else "episodes"
+        note = f" ({self.num_left_out} truncated {episodes} left out)" if self.num_left_out else ""
+        return f"{self.argument}{note}"
 
 
 def parse_source(fields: Any, where: str) -> Source | None:
-    """Return the source that ``config.json`` records; None for none.
+    """Return the source that the file ``where`` records; None if it records none.
 
     Raises:
         UserError: it is not such a record.
     """
-    if fields is None:
-        return None
-    try:
-        source = Source(**fields)
-        count = source.num_left_out
-        is_sound = source.kind in KINDS and type(count) is int and 0 <= count < 2**31
-        is_named = source.kind in ("expert", "memory") or source.name is not None
-        if is_sound and is_named and isinstance(source.name, str | None):
-            return source
-    except TypeError:  # not a mapping, or of other fields
-        pass
+    match fields:
+        case None:
+            return None
+        case {"kind": "expert" | "memory" as kind, "name": None, "num_left_out": 0, **rest}:
+            if not rest:
+                return Source(kind)
+        case {"kind": str(kind), "name": str(name), "num_left_out": int(count), **rest}:
+            if kind in KINDS and 0 <= count < 2**31 and not rest:
+                return Source(kind, name, count)
     raise UserError(f"{where}: source is {reprlib.repr(fields)}, not a source of demonstrations")
 
 

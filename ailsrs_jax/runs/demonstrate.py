@@ -1,4 +1,4 @@
-"""Demonstrations made by rolling out an expert, and kept for the next run."""
+"""Demonstrations from rolling out an expert; those of the shipped experts are cached."""
 
 import contextlib
 import functools
@@ -26,7 +26,7 @@ from ailsrs_jax.runs.storage.config import installed_versions, require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import simulate
 
-NOISE_STREAM = 1  # apart from the numbers that a reset draws
+NOISE_STREAM = 1  # of random numbers, distinct from those of a reset
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 
@@ -38,13 +38,19 @@ def roll_out(
     episode_length: int = EPISODE_LENGTH,
     noise_std: np.ndarray | float | None = None,
 ) -> Episodes:
-    """Roll out ``policy`` in ``env``; episode ``i`` does not depend on how many there are.
+    """Roll out ``policy`` in ``env``; episode ``i`` does not depend on the number of episodes.
 
-    With ``noise_std``, a number or ``(p,)``, Gaussian noise is added to the actions before they are
-    clipped.
+    Args:
+        policy: the policy.
+        env: the environment.
+        num_episodes: how many episodes.
+        key: of the initial states and the noise.
+        episode_length: the time limit in environment steps.
+        noise_std: standard deviation, a number or ``(p,)``, of Gaussian noise that is added to the
+            actions before they are clipped.
 
     Raises:
-        UserError: the policy does not fit.
+        UserError: the policy does not fit the environment.
     """
     n, p = env_sizes(env)
     policy.require_shape(p, n)
@@ -52,7 +58,7 @@ def roll_out(
     policies = repeated(jax_policy(policy), num_episodes)
     noise = None
     if noise_std is not None:
-        # Of every episode its own, so that it does not depend either on how many there are.
+        # Each episode has its own key, so that its noise does not depend on their number either.
         noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE_STREAM)
         draws = [jax.random.normal(noise_key, (episode_length, p)) for noise_key in noise_keys]
         noise = noise_std * jnp.stack(draws)
@@ -61,7 +67,7 @@ def roll_out(
 
 @functools.lru_cache(maxsize=4)
 def _compiled_rollout(env: Env, episode_length: int) -> Callable[..., Episodes]:
-    """Compiled once for all the policies of a run."""
+    """Compile the simulation once for all policies of a run."""
     return jax.jit(
         lambda policies, keys, noise: simulate(env, policies, keys, episode_length, noise=noise)
     )
@@ -90,16 +96,15 @@ def demonstrate(
     Args:
         policy: the expert.
         num_trajectories: how many episodes.
-        env: any Brax environment; without it, the task that the policy names.
-        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
+        env: any Brax environment; by default the task that the policy names.
+        physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by name.
         seed: of the initial states.
         episode_length: the time limit in environment steps.
-        action_noise: standard deviation of Gaussian noise added to the actions, in their units;
-            the actions of the demonstrations are those with the noise, as applied.
+        action_noise: standard deviation of Gaussian noise added to the actions, in their units. The
+            demonstrations hold the actions with the noise.
 
     Raises:
-        UserError: no trajectories, negative noise, an unknown task, physics that it does not have,
-            a bad seed, a policy that does not fit, or one under which an episode diverges.
+        UserError: an argument is wrong, the policy does not fit, or an episode diverges.
     """
     recording = record(
         policy,
@@ -123,14 +128,14 @@ def record(
     episode_length: int = EPISODE_LENGTH,
     action_noise: float = 0.0,
 ) -> Recording:
-    """:func:`demonstrate`, with what only other formats ask for, such as :func:`save_minari`'s."""
+    """Do as :func:`demonstrate`; also return what :func:`save_minari` needs beside it."""
     if min(num_trajectories, episode_length) < 1:
         raise UserError(
-            f"{num_trajectories} trajectories of {episode_length} steps asked for: at least one is "
-            "needed"
+            f"{num_trajectories} trajectories of {episode_length} steps asked for: ask for at "
+            "least one"
         )
     if not (math.isfinite(action_noise) and action_noise >= 0):
-        raise UserError(f"action_noise is {action_noise}: it must be a number from 0")
+        raise UserError(f"action_noise is {action_noise}: it must be 0 or more")
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
     key, noise_std = jax.random.key(seed), action_noise or None
@@ -151,7 +156,7 @@ def record(
         observations=np.where(alive[..., None], observations[:, :-1], 0.0),
         actions=np.where(alive[..., None], actions[:, :-1], 0.0),
         lengths=lengths,
-        # In double precision, so that the order of summation, a reader's choice, does not show.
+        # In double precision, so that a reader who sums in another order gets the same number.
         returns=env_rewards[:, :-1].sum(axis=1, dtype=np.float64).astype(np.float32),
         env_id=task.env_id,
     )
@@ -159,18 +164,22 @@ def record(
     return Recording(demonstrations, env_rewards[:, :-1], final_observations)
 
 
-_late_end = functools.lru_cache(maxsize=4)(LateEnd)  # so that each is compiled once
+_late_end = functools.lru_cache(maxsize=4)(LateEnd)  # to compile each environment once
 
 
 def expert_demonstrations(
     env_id: str, num_trajectories: int, physics: str, *, of_paper: bool = False
 ) -> Demonstrations:
-    """Demonstrations of the expert that ships with the package, from the cache if they are there.
+    """Return demonstrations of the expert that ships with the package, from the cache if possible.
 
-    With ``of_paper``, of one whose return is that of the paper's.
+    The file name in the cache is a hash of all that the demonstrations depend on. If the cache
+    cannot be read or written, they are simulated again.
 
-    The cache's key is a hash of all that they depend on. A cache that cannot be written or read is
-    done without.
+    Args:
+        env_id: the task.
+        num_trajectories: how many episodes.
+        physics: ``auto``, ``mjx`` or ``mujoco``.
+        of_paper: use the expert that returns what the paper's does, where there are two.
     """
     path = expert_path(env_id, of_paper=of_paper)
     engine, _ = choose_engine(physics)

@@ -1,4 +1,4 @@
-"""The environment's return of a finished policy, on any engine or in Gymnasium itself."""
+"""The return of a policy, on any engine or in Gymnasium itself."""
 
 import dataclasses
 
@@ -18,33 +18,33 @@ from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.rollout import simulate
 
-EVALUATION_STREAM = 2**31 - 1  # an episode number that no demonstration has
+EVALUATION_STREAM = 2**31 - 1  # no demonstration has an episode of this number
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Undiscounted returns and lengths of some episodes."""
+    """Undiscounted returns and lengths of episodes."""
 
-    returns: np.ndarray  #: (E,), NaN of an episode that diverged
+    returns: np.ndarray  #: (E,), NaN for an episode that diverged
     lengths: np.ndarray  #: (E,)
 
     @property
     def mean(self) -> float:
-        """Mean return of the episodes that did not diverge; NaN if all did."""
+        """Mean return of the episodes that did not diverge; NaN if all diverged."""
         return float(self._finite.mean()) if self._finite.size else np.nan
 
     @property
     def std(self) -> float:
-        """Standard deviation of the return over those episodes."""
+        """Standard deviation of the return over the same episodes."""
         return float(self._finite.std()) if self._finite.size else np.nan
 
     @property
     def num_diverged(self) -> int:
-        """How many episodes diverged."""
+        """The number of episodes that diverged."""
         return len(self.returns) - len(self._finite)
 
     def __str__(self) -> str:
-        """Mean ± standard deviation of the return, for people to read."""
+        """Mean ± standard deviation of the return, for people."""
         note = f" ({self.num_diverged} of {len(self.returns)} diverged)"
         return f"{self.mean:.0f} ± {self.std:.0f}" + (note if self.num_diverged else "")
 
@@ -75,20 +75,19 @@ def evaluate(
     Args:
         policy: the policy.
         num_episodes: how many episodes.
-        physics: ``gymnasium`` drives ``gymnasium.make(env_id)`` with the policy in NumPy; ``mjx``,
-            ``mujoco`` and ``auto`` simulate our own task. Nothing to choose where ``env`` is given.
+        physics: ``gymnasium`` runs the policy with NumPy in ``gymnasium.make(env_id)``; ``mjx``,
+            ``mujoco`` and ``auto`` simulate our own task. It has no effect if ``env`` is given.
         seed: of the initial states.
-        env: any Brax environment; without it, the task that the policy names.
+        env: any Brax environment; by default the task that the policy names.
         episode_length: the time limit in environment steps.
-        stochastic: draw the actions of a Gaussian policy, instead of taking their mean.
+        stochastic: draw the actions of a Gaussian policy instead of taking their mean.
 
     Raises:
-        UserError: unknown environment or physics, no episodes, a policy that does not fit, or one
-            that has nothing to draw.
+        UserError: an argument is wrong, or the policy does not fit or is not stochastic.
     """
     if min(num_episodes, episode_length) < 1:
         raise UserError(
-            f"{num_episodes} episodes of {episode_length} steps asked for: at least one is needed"
+            f"{num_episodes} episodes of {episode_length} steps asked for: ask for at least one"
         )
     require_seed(seed)
     in_gymnasium = physics == "gymnasium"
@@ -97,7 +96,7 @@ def evaluate(
             policy.env_id, policy, num_episodes, seed, episode_length, stochastic
         )
     task = open_env(policy.env_id if env is None else env, "auto" if in_gymnasium else physics)
-    # Not the initial states that demonstrations of the same seed begin with.
+    # These initial states differ from those of demonstrations with the same seed.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
     noise_std = policy.noise_std if stochastic else None
     episodes = roll_out(policy, task.env, num_episodes, key, episode_length, noise_std)
@@ -112,7 +111,7 @@ def evaluate_random(
     *,
     episode_length: int = EPISODE_LENGTH,
 ) -> Evaluation:
-    """Measure the return of actions drawn uniformly from their range; see :func:`evaluate`."""
+    """Measure the return of uniformly random actions; see :func:`evaluate`."""
     if physics == "gymnasium":
         return _evaluate_in_gymnasium(env_id, None, num_episodes, seed, episode_length)
     env = open_env(env_id, physics).env
@@ -136,7 +135,7 @@ def _evaluate_in_gymnasium(
     episode_length: int,
     stochastic: bool = False,
 ) -> Evaluation:
-    """Of ``policy``, or of actions drawn uniformly."""
+    """Measure the return of ``policy``, or of uniformly random actions without one."""
     env_id = resolve_env_id(env_id)
     if env_id not in TASKS:
         raise UserError(

@@ -22,7 +22,8 @@ from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.stacking import stack_trainers
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
-from ailsrs_jax.runs.storage.directory import RunDirectory, claimed
+from ailsrs_jax.runs.storage.directory import claimed
+from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, require_most_finite
 from ailsrs_jax.runs.storage.policies import kept_policies
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
@@ -53,7 +54,7 @@ class _Run:
         self._plan, self._output, self._lane = plan, output, lane
         recorded = plan.demonstrations
         self._returns = None if recorded is None else np.asarray(recorded.returns)
-        self._directory: RunDirectory | None = None
+        self._journal: Journal | None = None
 
     def claim(self, resume: bool | Literal["where begun"]) -> AbstractContextManager[None]:
         """Lock the run directory while the context lasts."""
@@ -62,22 +63,16 @@ class _Run:
             resume = (self._output / "config.json").exists()
         return claimed(self._output, self._plan.config, resume=resume)
 
-    def begin(self, progress: Progress, track: str | None) -> RunDirectory | None:
-        """Open the run directory where it is written, which is in the first process only."""
+    def begin(self, progress: Progress, track: str | None) -> Journal | None:
+        """Open the journal, which only the first process has."""
         if self._output is None or not is_first_process():
             return None
-        self._directory = RunDirectory(
-            self._output,
-            self._plan.config,
-            command=self._plan.spec.command,
-            expert_returns=self._returns,
-        )
-        num_done = self._num_done(progress)
-        self._directory.begin(num_done, self._part(progress), track)
+        num_done, steps = self._num_done(progress), self._part(progress)["steps"]
+        self._journal = Journal(self._output, self._plan.config, num_done, steps, track)
         if num_done > 0:
             self.problem = _earlier_divergence(self._output / "metrics.csv")
             self.save(progress)
-        return self._directory
+        return self._journal
 
     def is_finished(self, progress: Progress) -> bool:
         """Tell whether no iteration of this run is left."""
@@ -96,14 +91,18 @@ class _Run:
 
     def append(self, report: IterationReport, *, to_disk: bool) -> None:
         """Append an iteration to the journal."""
-        if self._directory is not None:
-            self._directory.append(self._part_of(report), to_disk=to_disk)
+        if self._journal is not None:
+            self._journal.append(self._part_of(report), to_disk=to_disk)
 
     def save(self, progress: Progress) -> None:
         """Write policies and ``result.json``."""
-        if self._directory is not None:
-            done = self.problem is None and self.is_finished(progress)
-            self._directory.save(self._part(progress), finished=done)
+        if self._journal is not None:
+            self._journal.save(
+                self._part(progress),
+                command=self._plan.spec.command,
+                expert_returns=self._returns,
+                finished=self.problem is None and self.is_finished(progress),
+            )
 
     def result(self, progress: Progress) -> Result:
         """Return the result, and leave a checkpoint of its own for a run of a stack."""
@@ -147,11 +146,12 @@ def _earlier_divergence(path: Path) -> UserError | None:
     """Return the error of an iteration before this process resumed a stack."""
     metrics = read_metrics(path)
     iterations = metrics["iteration"].astype(int)
-    for iteration in np.unique(iterations):
-        mine = iterations == iteration
-        episodes, diverged = (int(metrics[name][mine].sum()) for name in ("episodes", "diverged"))
+    episodes, diverged = (
+        np.bincount(iterations, metrics[name]) for name in ("episodes", "diverged")
+    )
+    for iteration in np.flatnonzero(diverged):
         try:
-            require_most_finite(iteration, episodes, diverged)
+            require_most_finite(int(iteration), int(episodes[iteration]), int(diverged[iteration]))
         except UserError as error:
             return error
     return None
@@ -236,8 +236,8 @@ def execute(
                     found |= {"versions": installed_versions()}  # config.json has been compared
                     plans[0].config.require_same(found, checkpoints)
                 for run in runs:
-                    if (directory := run.begin(progress, track)) is not None:
-                        stack.enter_context(closing(directory))
+                    if (journal := run.begin(progress, track)) is not None:
+                        stack.enter_context(closing(journal))
 
         for state, report in iterate(
             update,

@@ -3,6 +3,7 @@
 import dataclasses
 
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import TASKS, open_env, short_name, takes_physics
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
@@ -60,7 +61,7 @@ def plan(spec: RunSpec) -> Plan:
         )
     preset = preset_settings(env_id, spec.preset, spec.algorithm)
     settings = override(preset, spec.settings)
-    data: TrainingData | None = None
+    data = TrainingData()
     if algorithm.imitates:
         data = read_training_data(spec, env, env_id, engine)
     elif (spec.demonstrations, spec.num_trajectories, spec.subsample) != (None, None, 1):
@@ -75,10 +76,10 @@ def plan(spec: RunSpec) -> Plan:
         algorithm=spec.algorithm,
         preset=spec.preset,
         settings=settings,
-        num_trajectories=data.demonstrations.num_trajectories if data else None,
-        source=data.source if data else None,
-        demonstrations_sha256=data.sha256 if data else None,
-        subsample=spec.subsample if data else None,
+        num_trajectories=data.num_trajectories,
+        source=data.source,
+        demonstrations_sha256=data.sha256,
+        subsample=data.subsample,
     )
     simulator = Simulator(env)
     if algorithm.shares_devices:
@@ -87,7 +88,7 @@ def plan(spec: RunSpec) -> Plan:
         spec=_resolved(spec, config),
         config=config,
         simulator=simulator,
-        demonstrations=data.demonstrations if data else None,
+        demonstrations=data.demonstrations,
         physics_reason=reason,
     )
 
@@ -106,7 +107,8 @@ def _resolved(spec: RunSpec, config: RunConfig) -> RunSpec:
     env, physics, env_id = spec.env, spec.physics, config.env_id
     if isinstance(env, str):
         env = short_name(env_id) if env_id in TASKS else env_id
-        physics = config.physics if takes_physics(env_id) else "auto"
+        if config.physics in ENGINES and takes_physics(env_id):
+            physics = config.physics
     demonstrations = spec.demonstrations
     if config.source is not None and config.source.kind != "memory":
         demonstrations = config.source.argument

@@ -16,11 +16,13 @@ NUM_TRAJECTORIES = 10  # of the shipped expert by default, the paper's smallest 
 
 
 class TrainingData(NamedTuple):
-    """The demonstrations that a run is trained on."""
+    """The demonstrations that a run is trained on; all None if it learns from the reward."""
 
-    demonstrations: Demonstrations
-    source: Source
-    sha256: str  # of the arrays
+    demonstrations: Demonstrations | None = None
+    source: Source | None = None
+    sha256: str | None = None  # of the arrays
+    num_trajectories: int | None = None
+    subsample: int | None = None
 
 
 def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> TrainingData:
@@ -48,7 +50,13 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
     require_fit(demonstrations, env_id, env)
     if spec.subsample != 1:
         demonstrations = demonstrations.subsample(spec.subsample)
-    return TrainingData(demonstrations, source, content_hash(demonstrations))
+    return TrainingData(
+        demonstrations,
+        source,
+        content_hash(demonstrations),
+        demonstrations.num_trajectories,
+        spec.subsample,
+    )
 
 
 def require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:

@@ -5,134 +5,122 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from ailsrs_jax.files import write_atomically
-from ailsrs_jax.runs.loop import Result
-from ailsrs_jax.runs.storage.metrics import read_metrics
-from ailsrs_jax.runs.storage.saved_run import SavedRun
-from ailsrs_jax.show.figures import COLORS, EXPERT, STYLE
+from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
+from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, add_legend, panels
 
-# What is drawn of what a run has measured, and the range of its axis.
+# The panels: a column of metrics.csv, the label of its axis and the limits of that axis.
 PANELS = {
     "evaluation_return": ("return", None),
     "expert_distance": ("energy distance to expert", (0, None)),
     "policy_score": ("discriminator's score", (0, 1)),
     "validation_loss": ("validation loss", (0, None)),
 }
+STEPS = "live environment steps [M]"
 EVEN = 0.5  # the score of a discriminator that cannot tell the policy from the expert
-MOST_NAMED = 8  # seeds, in the legend
+MOST_NAMED = 8  # seeds in the legend
 DASHED = (0, (4, 1.5))
+DOTTED: dict[str, Any] = {"color": "0.6", "linestyle": (0, (1, 2)), "linewidth": 1, "zorder": 1}
+LARGER: list[Any] = [STYLE, {"font.size": 9}]
 
 
-def plot_training_curve(run_directory: Path, title: str, result: Result) -> Path:
-    """Draw ``training_curve.png`` from ``metrics.csv``; a dot marks each seed's kept policy."""
-    columns = read_metrics(run_directory / "metrics.csv")
-    expert_returns = result.expert_returns
-    figure = draw_curves(
-        columns,
-        result.kept_iterations,
-        None if expert_returns is None else float(expert_returns.mean()),
-        imitates=expert_returns is not None,
-    )
+def plot_training_curve(directory: Path) -> Path:
+    """Draw ``training_curve.png`` in a run directory; a dot marks the kept policy of each seed.
+
+    Raises:
+        UserError: the directory is not that of a run.
+    """
+    run = read_run(directory)
+    figure = draw_curves(run)
+    title = f"{run.title} on {run.config['env_id']}"
+    if number := run.config["num_trajectories"]:
+        title += f" from {number} demonstrations"
     figure.suptitle(title)
-    path = run_directory / "training_curve.png"
+    path = directory / "training_curve.png"
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=130))
     return path
 
 
-def draw_curves(
-    columns: Mapping[str, np.ndarray],
-    kept_iterations: Mapping[int, int],
-    expert_return: float | None,
-    *,
-    imitates: bool,
-) -> Figure:
-    """A panel for each of :data:`PANELS` that is in ``columns``, of all seeds.
-
-    In the discriminator's the policy's score is drawn through, the expert's dashed: a game that is
-    even has both near one half, and a discriminator that wins outright pulls them apart, to 0 and
-    1, and has nothing to teach any more.
-    """
-    panels = {name: panel for name, panel in PANELS.items() if name in columns}
-    style: dict[Any, Any] = STYLE | {"font.size": 9, "legend.fontsize": 8}
-    with matplotlib.rc_context(style):
-        figure = Figure((4 * len(panels), 3.4), layout="constrained")
-        all_axes = figure.subplots(1, len(panels), squeeze=False)[0]
-        for axes, (name, (label, limits)) in zip(all_axes, panels.items()):
-            for index, seed in enumerate(dict.fromkeys(columns["seed"].astype(int).tolist())):
-                color = COLORS[index % len(COLORS)]
-                mine = columns["seed"] == seed
-                steps = columns["env_steps"][mine] / 1e6
-                at = columns["iteration"][mine] == kept_iterations.get(seed)
-                values = columns[name][mine]
+def draw_curves(run: SavedRun) -> Figure:
+    """Draw a panel for each of :data:`PANELS` that the run has measured, with a line per seed."""
+    columns = [name for name in PANELS if name in run.metrics]
+    with style.context(LARGER):
+        figure, all_axes = panels(columns, len(PANELS), row_height=2.9, width=4 * len(columns))
+        for index, (seed, mine) in enumerate(by_seed(run.metrics).items()):
+            color = COLORS[index % len(COLORS)]
+            steps = mine["env_steps"] / 1e6
+            at = mine["iteration"] == run.kept_iterations.get(seed)
+            for name, axes in all_axes.items():
                 named = f"seed {seed}" if index < MOST_NAMED and name == "evaluation_return" else ""
-                axes.plot(steps, values, color=color, label=named)
-                axes.plot(steps[at], values[at], "o", color=color, markersize=6)
+                axes.plot(steps, mine[name], color=color, label=named)
+                axes.plot(steps[at], mine[name][at], "o", color=color, markersize=6)
                 if name == "policy_score":
-                    _draw_expert_score(axes, columns, mine, color)
-            unused_note = " (not used)" if imitates and name == "evaluation_return" else ""
-            axes.set(xlabel="live environment steps [M]", ylabel=label + unused_note)
+                    _draw_expert_score(axes, mine, color)
+        for name, axes in all_axes.items():
+            label, limits = PANELS[name]
+            axes.set(xlabel=STEPS, ylabel=label)
             if limits is not None:
-                axes.set_ylim(limits)
-            if name == "policy_score":
-                _explain_scores(axes)
-            elif name == "evaluation_return":
-                if expert_return is not None:
-                    axes.axhline(expert_return, label="expert", **EXPERT)
-                axes.legend()
+                axes.set(ylim=limits)
+        _explain_returns(all_axes["evaluation_return"], run)
+        if "policy_score" in all_axes:
+            _explain_scores(all_axes["policy_score"])
     return figure
 
 
 def draw_discriminators(tasks: Mapping[str, Sequence[tuple[str, SavedRun]]]) -> Figure:
-    """The discriminator's scores in each of the runs, by task, with the name of its series.
-
-    As in :func:`draw_curves`, but that a colour is a series.
-    """
+    """Draw the discriminator's scores in a panel per task, for pairs of a series and a run."""
     series = dict.fromkeys(name for runs in tasks.values() for name, _ in runs)
     colors = dict(zip(series, itertools.cycle(COLORS)))
-    num_columns = min(len(tasks), 3)
-    num_rows = -(-len(tasks) // num_columns)
-    style: dict[Any, Any] = STYLE | {"font.size": 9}
-    with matplotlib.rc_context(style):
-        figure = Figure((4 * num_columns, 0.4 + 3 * num_rows), layout="constrained")
-        all_axes = figure.subplots(num_rows, num_columns, squeeze=False).flat
-        for unused in all_axes[len(tasks) :]:
-            unused.remove()
-        for axes, (task, runs) in zip(all_axes, tasks.items()):
-            for name, run in runs:
-                columns, everything = run.metrics, np.ones(len(run.metrics["seed"]), bool)
-                steps = columns["env_steps"] / 1e6
-                axes.plot(steps, columns["policy_score"], color=colors[name])
-                _draw_expert_score(axes, columns, everything, colors[name])
-            axes.set(title=task, xlabel="live environment steps [M]", ylim=(0, 1))
-            _explain_scores(axes)
+    with style.context(LARGER):
+        figure, all_axes = panels(list(tasks), 3, row_height=3, width=4 * min(len(tasks), 3))
+        for task, axes in all_axes.items():
+            for name, run in tasks[task]:
+                label = name if len(series) > 1 else ""
+                steps, scores = run.metrics["env_steps"] / 1e6, run.metrics["policy_score"]
+                axes.plot(steps, scores, color=colors[name], label=label)
+                _draw_expert_score(axes, run.metrics, colors[name])
+            axes.set(title=task, xlabel=STEPS, ylim=(0, 1))
         if len(series) > 1:
-            lines = [Line2D([], [], color=color) for color in colors.values()]
-            figure.legend(lines, list(series), loc="outside upper center", ncols=4)
+            add_legend(figure, all_axes.values())
+        for axes in all_axes.values():
+            _explain_scores(axes)
     return figure
 
 
-def _draw_expert_score(
-    axes: Axes, columns: Mapping[str, np.ndarray], rows: np.ndarray, color: str
-) -> None:
-    """The expert's score, dashed, and how far the policy's is away."""
-    if "expert_score" not in columns:
+def by_seed(metrics: Mapping[str, np.ndarray]) -> dict[int, dict[str, np.ndarray]]:
+    """Return the rows of ``metrics.csv`` of each seed, in the order of the seeds there."""
+    return {
+        seed: {name: values[metrics["seed"] == seed] for name, values in metrics.items()}
+        for seed in dict.fromkeys(metrics["seed"].astype(int).tolist())
+    }
+
+
+def _draw_expert_score(axes: Axes, metrics: Mapping[str, np.ndarray], color: str) -> None:
+    """Draw the expert's score, dashed, and shade the gap to the policy's."""
+    if "expert_score" not in metrics:
         return
-    steps = columns["env_steps"][rows] / 1e6
-    expert, policy = (columns[name][rows] for name in ("expert_score", "policy_score"))
+    steps, expert = metrics["env_steps"] / 1e6, metrics["expert_score"]
     axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
-    axes.fill_between(steps, policy, expert, color=color, alpha=0.08, linewidth=0)
+    axes.fill_between(steps, metrics["policy_score"], expert, color=color, alpha=0.08, linewidth=0)
+
+
+def _explain_returns(axes: Axes, run: SavedRun) -> None:
+    """Add the expert's return and a legend; imitators do not train on the return."""
+    if run.imitates:
+        axes.set_ylabel("return (not used)")
+    if (expert := run.expert_return) is not None:
+        axes.axhline(expert, label="expert", **EXPERT)
+    axes.legend()
 
 
 def _explain_scores(axes: Axes) -> None:
-    """What line is whose; without a word on seeds, whose colours the first panel explains."""
-    axes.axhline(EVEN, color="0.6", linestyle=(0, (1, 2)), linewidth=1, zorder=1)
-    axes.plot([], [], color="black", linestyle=DASHED, linewidth=1.0, label="of the expert")
-    axes.plot([], [], color="black", label="of the policy")
-    axes.plot([], [], color="0.6", linestyle=(0, (1, 2)), label="cannot tell")
-    axes.legend()
+    """Add a legend of the line styles; the colours are explained elsewhere."""
+    lines = {"of the expert": DASHED, "of the policy": "-"}
+    handles = [axes.plot([], [], color="black", linestyle=line)[0] for line in lines.values()]
+    handles.append(axes.axhline(EVEN, **DOTTED))
+    axes.legend(handles, [*lines, "cannot tell"])

@@ -1,5 +1,6 @@
-"""Taking a policy away: as one file, or as a directory to publish."""
+"""Write a policy for other programs, as one file or as a directory to publish."""
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
 from ailsrs_jax.show.model_card import find_origin, model_card, require_license
 
-CARD = "README.md"  # as the Hugging Face Hub calls a model card
+CARD = "README.md"  # the name under which the Hugging Face Hub looks for a model card
 
 
 def export(
@@ -36,17 +37,18 @@ def export(
 
     Args:
         source: a policy, its file, or a run directory of one seed.
-        output: a file that ends in .npz, .safetensors or .onnx; or a new directory, for files of
-            all three kinds and a model card, which says what the policy is, its return, and how it
-            was made, if ``source`` is of a run directory.
-        num_episodes: so many, for the return in the model card.
-        physics: as in :func:`~ailsrs_jax.runs.evaluation.evaluate`.
-        seed: of the initial states of those episodes.
-        env: as there.
-        license_id: of the policy, as the Hugging Face Hub writes it, for example ``apache-2.0``.
+        output: a file that ends in .npz, .safetensors or .onnx; or a new directory for files of all
+            three kinds and a model card. The card says what the policy is, how good it is and, if
+            ``source`` is in a run directory, how it was made.
+        num_episodes: the number of episodes for the return in the model card.
+        physics: the physics of these episodes, as in
+            :func:`~ailsrs_jax.runs.evaluation.evaluate`.
+        seed: the seed of their initial states.
+        env: the environment, as in :func:`~ailsrs_jax.runs.evaluation.evaluate`.
+        license_id: the policy's licence as the Hugging Face Hub names it, such as ``apache-2.0``.
 
     Returns:
-        What the model card says of the return; None of a single file.
+        The evaluation that is in the model card; None if ``output`` is a single file.
 
     Raises:
         UserError: the source cannot be read or holds several policies, a package is not installed,
@@ -57,42 +59,30 @@ def export(
         path = _only_policy(Path(source))
         source = load_policy(path)
     require_license(license_id)
-    is_directory = os.path.lexists(output) and output.is_dir()  # which raises of too long a name
-    if output.suffix and not is_directory:
+    # lexists raises no error for a name that is too long, but is_dir does.
+    if output.suffix and not (os.path.lexists(output) and output.is_dir()):
         source.save(output)
         return None
-    return _publish(source, path, output, num_episodes, physics, seed, env, license_id)
-
-
-def _publish(
-    policy: SavedPolicy,
-    path: Path | None,
-    output: Path,
-    num_episodes: int,
-    physics: str,
-    seed: int,
-    env: Env | None,
-    license_id: str,
-) -> Evaluation:
-    """Write the directory ``output`` for ``policy``, which is from ``path`` or from nowhere."""
-    origin = None if path is None else find_origin(policy, path)
+    origin = None if path is None else find_origin(source, path)
     if path is not None and env is None:
-        require_harmless(policy.env_id, str(path))
+        require_harmless(source.env_id, str(path))
     _require_new(output)
     files = [output / f"policy{suffix}" for suffix in FORMATS]
     for file in files:
         require_format(file)
-    evaluation = evaluate(policy, num_episodes, physics, seed, env=env)
+    if importlib.util.find_spec("huggingface_hub") is None:
+        raise UserError("a model card needs pip install 'ailsrs_jax[export]'")
+    evaluation = evaluate(source, num_episodes, physics, seed, env=env)
     if evaluation.num_diverged == num_episodes:
         raise UserError("every episode diverged: there is no return for the model card")
     where = "in Gymnasium"
     if env is not None:
         where = "in an environment handed in"
     elif physics != "gymnasium":
-        where = f"with physics {open_env(policy.env_id, physics).engine}"
-    card = model_card(policy, evaluation, f"{where}, seed {seed}", origin, license_id)
+        where = f"with physics {open_env(source.env_id, physics).engine}"
+    card = model_card(source, evaluation, f"{where}, seed {seed}", origin, license_id)
     for file in files:
-        policy.save(file)
+        source.save(file)
     write_atomically(output / CARD, lambda file: file.write(card.encode()))
     return evaluation
 
@@ -105,7 +95,7 @@ def _only_policy(source: Path) -> Path:
 
 
 def _require_new(directory: Path) -> None:
-    """Raise UserError unless there is a place for ``directory``; hidden files may be in it."""
+    """Raise UserError unless ``directory`` can be made, or has only hidden files."""
     require_writable(directory / CARD)
     if directory.is_dir():
         in_the_way = [file for file in directory.iterdir() if not file.name.startswith(".")]

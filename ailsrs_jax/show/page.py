@@ -1,15 +1,13 @@
-"""What a page of ``ailsrs report`` is made of; ``page.html`` is its template."""
+"""The content of a page of ``ailsrs report``; ``page.html`` is its template."""
 
 import dataclasses
 import io
 from collections.abc import Sequence
-from importlib import resources
 
 import jinja2
 from matplotlib.figure import Figure
 
-from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
-from ailsrs_jax.data.sources import Source
+from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.saved_run import SavedRun
@@ -20,11 +18,10 @@ from ailsrs_jax.show.video import Animation, data_uri, require_encoder
 
 SECONDS = 10.0  # of each episode that is shown
 SCORES = (
-    "Between the discriminator's scores of expert and policy is what it can tell them apart by: "
-    "near one half the game is even, and where they part for 1 and 0 it has won, and has nothing "
-    "to teach any more."
+    "The gap between the discriminator's scores of expert and policy shows how well it tells them "
+    "apart: near 0.5 it cannot; at 1 and 0 it has won, and the policy learns nothing more from it."
 )
-SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by how many there are
+SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by the number of pictures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,16 +35,16 @@ class Tile:
 
 @dataclasses.dataclass(frozen=True)
 class Media:
-    """A video or a figure; without ``uri``, why there is none."""
+    """A video or a figure; without a ``uri`` the caption says why there is none."""
 
     title: str
     uri: str | None
-    caption: str
+    caption: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """What the template shows, all of it text that is escaped there."""
+    """Everything that the template shows, as text; the template escapes it."""
 
     kind: str
     title: str
@@ -58,20 +55,23 @@ class Page:
     tables: Sequence[Table]
     note: str  # on the tables
     commands: Sequence[str]
-    settings: Sequence[tuple[str, str, bool]]  # name, value, whether it is not the preset's
+    settings: Sequence[tuple[str, str, bool]]  # name, value, whether it differs from the preset
     versions: Sequence[tuple[str, str]]
 
     def html(self) -> str:
-        """The page; it loads nothing, and forbids the browser to."""
+        """Return the page, which loads nothing and forbids the browser to load anything."""
         environment = jinja2.Environment(
-            autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+            loader=jinja2.PackageLoader("ailsrs_jax", "show"),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
         )
-        text = resources.files("ailsrs_jax.show").joinpath("page.html").read_text()
-        return environment.from_string(text).render(vars(self))
+        return environment.get_template("page.html").render(vars(self))
 
 
 def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
-    """The kept policy of each seed that has one yet."""
+    """Load the kept policy of each seed that has saved one."""
     policies = {}
     for seed in run.config["seeds"]:
         path = run.directory / f"seed_{seed}" / "policy.npz"
@@ -82,19 +82,10 @@ def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
     return policies
 
 
-def expert_of(runs: Sequence[SavedRun]) -> SavedPolicy | None:
-    """The shipped expert that they imitate, or could be compared with."""
-    of_paper = any(run.source == Source("expert", "paper") for run in runs)
-    try:
-        return load_policy(expert_path(runs[0].config["env_id"], of_paper=of_paper))
-    except UserError:
-        return None
-
-
 def play(
     title: str, policies: dict[str, SavedPolicy], expert: SavedPolicy | None, caption: str
 ) -> Media:
-    """An episode of each, and of the expert, from the same initial state."""
+    """Render an episode of each policy and of the expert from the same initial state."""
     if expert is not None:
         policies = {"expert": expert} | policies
         caption += ", beside the shipped expert from the same initial state"
@@ -104,19 +95,19 @@ def play(
         for policy in policies.values():
             require_harmless(policy.env_id, title)
         replays = [replay(policy, seconds=SECONDS) for policy in policies.values()]
-        address = Animation(replays, list(policies), SIZES[len(policies)]).data_uri
+        uri = Animation(replays, list(policies), SIZES[len(policies)]).data_uri
     except UserError as error:
         return Media(title, None, f"{error}.")
-    return Media(title, address, f"{caption}.")
+    return Media(title, uri, f"{caption}.")
 
 
-def svg(figure: Figure) -> str:
-    """The figure as an address that holds it."""
+def embedded(figure: Figure, kind: str) -> str:
+    """Return the figure as a data address; ``kind`` is ``png`` or ``svg``."""
     file = io.BytesIO()
-    figure.savefig(file, format="svg", metadata={"Date": None})
-    return data_uri("image/svg+xml", file.getvalue())
+    figure.savefig(file, format=kind, metadata={"Date": None} if kind == "svg" else {})
+    return data_uri({"png": "image/png", "svg": "image/svg+xml"}[kind], file.getvalue())
 
 
 def millions(steps: float) -> str:
-    """For people."""
+    """Return a number of steps in millions, for people."""
     return f"{steps / 1e6:.2f} M"

@@ -15,11 +15,11 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.show.replay import Replay
 
 INSTALL = "on Debian or Ubuntu: apt-get install libegl1 libgl1, or libosmesa6"
-SHADOW_SIZE = 2048  # MuJoCo's 4096 takes a third of the time that a CPU needs for a frame
-# All that a picture depends on; no forces, which could make MuJoCo warn.
+SHADOW_SIZE = 2048  # on a CPU MuJoCo's default of 4096 takes a third of the time of a frame
+# Everything that a picture depends on. Forces are left out: MuJoCo could warn about them.
 SEEN = (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_tendon)
 
-# A library that is there can still fail, or end the process, where there is no driver for it.
+# Without a driver an installed library can still fail or end the process, so another one tries it.
 TRIAL = """
 import mujoco
 with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
@@ -29,48 +29,41 @@ with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as rende
 
 @functools.cache
 def require_renderer() -> None:
-    """Make MuJoCo render with EGL or OSMesa, or with what the variable MUJOCO_GL asks for.
+    """Make MuJoCo render with EGL or OSMesa, or with the library that MUJOCO_GL names.
 
     Raises:
         UserError: none works; the message says what to install.
     """
     asked = os.environ.get("MUJOCO_GL")
     ours = ("egl", "osmesa") if sys.platform == "linux" else ("",)
-    for name in ours if asked is None else (asked,):
-        if _renders(name):
-            break
-    else:
+    name = next(filter(_renders, ours if asked is None else (asked,)), None)
+    if name is None:
         tried = "neither EGL nor OSMesa works" if asked is None else f"MUJOCO_GL={asked} fails"
         raise UserError(f"no video: {tried} here; {INSTALL}")
     if asked is None and name:
         os.environ["MUJOCO_GL"] = name
-        try:  # MuJoCo has chosen already, when it was imported
+        try:  # MuJoCo chose a library when it was imported
             importlib.reload(mujoco.rendering.classic.gl_context)
-        except ImportError as error:  # somebody uses another library in this process
+        except ImportError as error:  # another library is in use in this process
             raise UserError(
                 f"no video: set the variable MUJOCO_GL={name} before Python starts"
             ) from error
 
 
 def _renders(name: str) -> bool:
-    """Whether a process with MUJOCO_GL set to ``name`` can render."""
+    """Return whether a process with MUJOCO_GL set to ``name`` can render."""
+    command, environment = [sys.executable, "-c", TRIAL], os.environ | {"MUJOCO_GL": name}
     try:
-        subprocess.run(
-            [sys.executable, "-c", TRIAL],
-            env=os.environ | {"MUJOCO_GL": name},
-            check=True,
-            capture_output=True,
-            timeout=120,
-        )
+        subprocess.run(command, env=environment, check=True, capture_output=True, timeout=120)
     except (subprocess.SubprocessError, OSError):
         return False
     return True
 
 
 def pictures(replay: Replay, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
-    """The poses after so many ``steps`` as ``(size, size, 3)`` uint8, seen by the first camera.
+    """Yield the poses after each of ``steps`` steps as ``(size, size, 3)`` uint8.
 
-    A model without a camera is seen from where MuJoCo's viewer starts.
+    The first camera of the model sees them, or else the free camera of MuJoCo's viewer.
 
     Raises:
         UserError: there is no renderer.

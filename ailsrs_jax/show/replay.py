@@ -1,4 +1,4 @@
-"""One episode of a policy with the poses that it goes through, for looking at."""
+"""One episode of a policy with the poses to draw."""
 
 import dataclasses
 import functools
@@ -28,14 +28,14 @@ class Replay:
     """An episode of at most ``EPISODE_LENGTH`` steps, T of them live."""
 
     model: mujoco.MjModel
-    positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], the initial pose first
+    positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], from the initial pose on
     env_rewards: np.ndarray  # (T,)
     dt: float  # [s] of an environment step
-    ended: bool  # in a terminal state, before the time was over
+    ended: bool  # in a terminal state, before the time limit
 
     @property
     def num_steps(self) -> int:
-        """T."""
+        """T, the number of live steps."""
         return len(self.env_rewards)
 
 
@@ -47,18 +47,18 @@ def replay(
     seed: int = 0,
     seconds: float = np.inf,
 ) -> Replay:
-    """Roll out one episode: the first of those that ``evaluate`` simulates on the same engine.
+    """Roll out one episode: the first that ``evaluate`` simulates on the same engine.
 
     Args:
         policy: the policy.
-        env: an environment that MuJoCo simulates; without it, the task that the policy names.
-        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
-        seed: of the initial state.
-        seconds: stop after so much simulated time.
+        env: an environment that MuJoCo simulates; by default the task that the policy names.
+        physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by its name.
+        seed: seed of the initial state.
+        seconds: simulated time after which the episode is cut off.
 
     Raises:
-        UserError: an unknown task, one that MuJoCo does not simulate, a policy that does not fit,
-            or an episode that diverges.
+        UserError: the task is unknown or not simulated by MuJoCo, the policy does not fit it, or
+            the episode diverges.
     """
     if not seconds > 0:
         raise UserError(f"seconds is {seconds}: it must be positive")
@@ -87,9 +87,9 @@ def replay(
 
 @functools.lru_cache(maxsize=4)
 def _compiled_episode(env: Env, num_steps: int) -> Callable[[Policy, jax.Array], Any]:
-    """Initial positions; then positions, rewards and ends of ``num_steps`` steps.
+    """Return a function to the initial positions, and to positions, rewards and ends of all steps.
 
-    What comes after the end of an episode is meaningless.
+    Values after the end of an episode are meaningless.
     """
     _, positions_of = mujoco_view(env)
 
@@ -105,10 +105,10 @@ def _compiled_episode(env: Env, num_steps: int) -> Callable[[Policy, jax.Array],
 
 
 def mujoco_view(env: Env) -> tuple[mujoco.MjModel, Callable[[State], jax.Array]]:
-    """The model that ``env`` simulates, and the function from its state to ``qpos (nq,)``.
+    """Return the model that ``env`` simulates and the function from its state to ``qpos (nq,)``.
 
     Raises:
-        UserError: it has none.
+        UserError: MuJoCo does not simulate it.
     """
     inner: Any = getattr(env, "unwrapped", env)
     if isinstance(inner, MujocoTask):
@@ -116,7 +116,7 @@ def mujoco_view(env: Env) -> tuple[mujoco.MjModel, Callable[[State], jax.Array]]
     if isinstance(getattr(inner, "mj_model", None), mujoco.MjModel):  # MuJoCo Playground's
         return inner.mj_model, lambda state: state.data.qpos
     model = getattr(getattr(inner, "sys", None), "mj_model", None)
-    if isinstance(model, mujoco.MjModel):  # Brax's, whatever its backend
+    if isinstance(model, mujoco.MjModel):  # Brax's, with any backend
         return model, lambda state: jnp.asarray(state.pipeline_state.q)
     raise UserError(
         f"{env_name(env)} cannot be rendered: it is not simulated by MuJoCo, so there is no model "

@@ -1,5 +1,6 @@
-"""``ailsrs report``: a run or a sweep as one page of HTML that needs nothing beside itself."""
+"""``ailsrs report``: one self-contained HTML page on a run or a sweep."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,24 +11,20 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.show.curves import draw_curves
-from ailsrs_jax.show.page import (
-    SCORES,
-    Media,
-    Page,
-    Tile,
-    expert_of,
-    millions,
-    play,
-    policies_of,
-    svg,
-)
+from ailsrs_jax.show.curves import by_seed, draw_curves
+from ailsrs_jax.show.page import SCORES, Media, Page, Tile, embedded, millions, play, policies_of
 from ailsrs_jax.show.sweep_page import sweep_page
 from ailsrs_jax.show.sweep_report import Table, plus_minus
+from ailsrs_jax.show.video import shipped_expert
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE
 
 EPISODES = 100
-CURVES = f"A dot marks the iteration whose policy is kept. {SCORES}"
+MEASURES = {  # columns of metrics.csv in the table of seeds, and their titles
+    "expert_distance": "energy distance",
+    "validation_loss": "validation loss",
+    "policy_score": "policy's score",
+    "expert_score": "expert's score",
+}
 
 
 def report(
@@ -37,23 +34,23 @@ def report(
     episodes: int = EPISODES,
     video: bool = True,
 ) -> Path:
-    """Write one self-contained page of HTML on a run or a sweep, finished or not.
+    """Write one self-contained HTML page on a run or a sweep, finished or not.
 
-    Settings, curves, tables, a video, the command that made it, versions. Where there is no
-    renderer the page says so in the video's place.
+    It shows settings, curves, tables, a video, the command and the versions of libraries. Without a
+    renderer, the page says in the video's place what to install.
 
     Args:
-        directory: a run's, or a sweep's.
+        directory: the directory of a run or of a sweep.
         output: the page; by default ``report.html`` in the directory.
-        episodes: of each policy of a run, to measure its return.
+        episodes: episodes of each policy of a run, to measure its return.
         video: show the policies, which takes the most time.
 
     Returns:
-        Where the page is.
+        The path of the page.
 
     Raises:
-        UserError: the directory holds neither, or something in it is damaged; or the page cannot be
-            written.
+        UserError: the directory holds neither a run nor a sweep, a file in it is damaged, or the
+            page cannot be written.
     """
     directory = Path(directory)
     output = directory / "report.html" if output is None else Path(output)
@@ -82,7 +79,7 @@ def _holds(directory: Path, name: str) -> bool:
 
 
 def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> Page:
-    """The page of a run.
+    """Return the page of a run.
 
     Raises:
         UserError: a policy in its directory is damaged.
@@ -90,32 +87,26 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     config = run.config
     policies = policies_of(run)
     evaluations, problem = _evaluate(run, policies, episodes)
-    expert_return = run.expert_return
     learns_from = "the environment's reward"
     if run.imitates:
         learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
-    curves = draw_curves(
-        run.metrics,
-        run.kept_iterations,
-        expert_return,
-        imitates=run.imitates,
-    )
+    where = " in Gymnasium's own environment" if config["env_id"] in TASKS else ""
     changed = run.changed_settings()
     versions = dict(config["versions"])
     if config["demonstrations_sha256"] is not None:
         versions["demonstrations, SHA-256"] = config["demonstrations_sha256"]
-    note = f"Return: of the kept policy, mean ± standard deviation over {episodes} episodes"
-    note += " in Gymnasium's own environment." if config["env_id"] in TASKS else "."
+    caption = f"A dot marks the iteration whose policy is kept. {SCORES}"
     return Page(
         kind="run",
         title=f"{run.title} on {config['env_id']}",
         subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
-        tiles=_tiles(run, evaluations, expert_return),
-        videos=[_run_video(run, policies)] if video else [],
-        figures=[Media("Training", svg(curves), CURVES)],
+        tiles=_tiles(run, evaluations),
+        videos=[_video(run, policies)] if video else [],
+        figures=[Media("Training", embedded(draw_curves(run), "svg"), caption)],
         tables=[_seed_table(run, evaluations)],
-        note=f"{note} {problem}",
-        commands=[run.command or "made in Python, from objects that no command can name"],
+        note="The return is that of the kept policy: mean ± standard deviation over "
+        f"{episodes} episodes{where}. {problem}",
+        commands=[run.command or "Called from Python with objects that no command can name."],
         settings=[
             (name, str(value), name in changed) for name, value in config["settings"].items()
         ],
@@ -124,53 +115,42 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
 
 
 def _evaluate(
-    run: SavedRun, policies: dict[int, SavedPolicy], episodes: int
+    run: SavedRun, policies: Mapping[int, SavedPolicy], episodes: int
 ) -> tuple[dict[int, Evaluation], str]:
-    """By seed; or none, and why."""
+    """Return an evaluation for each seed, or none and the reason, such as a task that is gone."""
     physics = "gymnasium" if run.config["env_id"] in TASKS else "auto"
     try:
         require_harmless(run.config["env_id"], str(run.directory))
         return {seed: evaluate(p, episodes, physics) for seed, p in policies.items()}, ""
-    except UserError as error:  # as of one's own task, which may be elsewhere by now
+    except UserError as error:
         return {}, f"Not measured: {error}."
 
 
-def _tiles(
-    run: SavedRun, evaluations: dict[int, Evaluation], expert_return: float | None
-) -> list[Tile]:
+def _tiles(run: SavedRun, evaluations: Mapping[int, Evaluation]) -> list[Tile]:
     returns = np.array([evaluation.mean for evaluation in evaluations.values()])
+    expert = run.expert_return
     tiles = []
     if len(returns):
         over = f"mean ± std over {len(returns)} seeds" if len(returns) > 1 else "of one seed"
         tiles.append(Tile("return", plus_minus(returns), over))
-    if expert_return is not None:
-        tiles.append(Tile("expert", f"{expert_return:.0f}", "return of the demonstrations"))
-        if len(returns) and expert_return > 0:
-            tiles.append(Tile("of the expert's", f"{returns.mean() / expert_return:.0%}", "return"))
+    if expert is not None:
+        tiles.append(Tile("expert", f"{expert:.0f}", "return of the demonstrations"))
+        if len(returns) and expert > 0:
+            tiles.append(Tile("of the expert's", f"{returns.mean() / expert:.0%}", "return"))
     steps, iterations = (run.metrics[name].max() for name in ("env_steps", "iteration"))
     planned = run.config["settings"].get("num_iterations", "–")
-    tiles.append(Tile("environment steps", millions(steps), "live ones, of each seed"))
+    tiles.append(Tile("environment steps", millions(steps), "live steps of each seed"))
     tiles.append(Tile("iterations", f"{iterations + 1:.0f}", f"of {planned}"))
     return tiles
 
 
-def _seed_table(run: SavedRun, evaluations: dict[int, Evaluation]) -> Table:
-    measured = {
-        "expert_distance": "energy distance",
-        "validation_loss": "validation loss",
-        "policy_score": "policy's score",
-        "expert_score": "expert's score",
-    }
-    shown = {name: title for name, title in measured.items() if name in run.metrics}
+def _seed_table(run: SavedRun, evaluations: Mapping[int, Evaluation]) -> Table:
+    shown = {name: title for name, title in MEASURES.items() if name in run.metrics}
     header = ["seed", "return", "length", "kept at iteration", *shown.values(), "last evaluation"]
     rows = []
-    for seed in run.config["seeds"]:
-        mine = {name: values[run.metrics["seed"] == seed] for name, values in run.metrics.items()}
-        if not len(mine["iteration"]):
-            continue
-        kept = run.kept_iterations.get(seed)
+    for seed, mine in by_seed(run.metrics).items():
+        kept, evaluation = run.kept_iterations.get(seed), evaluations.get(seed)
         at = np.flatnonzero(mine["iteration"] == kept)
-        evaluation = evaluations.get(seed)
         rows.append(
             [
                 str(seed),
@@ -184,9 +164,10 @@ def _seed_table(run: SavedRun, evaluations: dict[int, Evaluation]) -> Table:
     return Table("Seeds", header, rows)
 
 
-def _run_video(run: SavedRun, policies: dict[int, SavedPolicy]) -> Media:
+def _video(run: SavedRun, policies: Mapping[int, SavedPolicy]) -> Media:
+    title = "What it does"
     if not policies:
-        return Media("What it does", None, "No policy is saved yet.")
+        return Media(title, None, "No policy is saved yet.")
     seed, policy = next(iter(policies.items()))
-    caption = f"The policy of seed {seed}, the first, in real time"
-    return play("What it does", {"policy": policy}, expert_of([run]), caption)
+    expert = shipped_expert(run.config["env_id"], run.source)
+    return play(title, {"policy": policy}, expert, f"The policy of seed {seed}, in real time")

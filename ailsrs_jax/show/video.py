@@ -1,4 +1,4 @@
-"""Seeing what a policy does: as MP4, in a notebook, or in Brax's interactive viewer."""
+"""Episodes of policies as an MP4 video, in a notebook, or in Brax's interactive viewer."""
 
 import base64
 import dataclasses
@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy, policy_files
+from ailsrs_jax.data.sources import Source, parse_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
@@ -22,20 +23,22 @@ from ailsrs_jax.show.replay import Replay, replay
 from ailsrs_jax.show.viewer import viewer_html
 
 SUFFIXES = (".mp4", ".html")
-MOST_FPS = 60  # of many more steps in a second only every k-th is drawn
+MOST_FPS = 60  # above this only every k-th step is drawn
 SECONDS, SIZE = 10.0, 480
 COLUMNS = 4  # of pictures
 GAP = 4  # pixels between them
 INK, PALE, DARK, WARM = (248, 250, 252), (148, 163, 184), (15, 23, 42), (251, 191, 36)
 
+PolicyOrPath = SavedPolicy | str | Path
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Animation:
-    """Episodes side by side, in real time. A notebook that shows it plays the video.
+    """Episodes side by side in real time; a notebook plays it as a video.
 
     Attributes:
-        replays: the episodes, of one task.
-        labels: what to call each.
+        replays: the episodes, all of one task.
+        labels: a label for each episode.
         size: height and width of each picture in pixels.
     """
 
@@ -50,7 +53,7 @@ class Animation:
 
     @property
     def fps(self) -> Fraction:
-        """Frames per second, so that simulated time goes as fast as real time."""
+        """Frames per second, so that simulated time passes in real time."""
         return 1 / (Fraction(self.replays[0].dt * self.stride).limit_denominator(10_000))
 
     @functools.cached_property
@@ -62,12 +65,12 @@ class Animation:
         """
         last = max(replay.num_steps for replay in self.replays)
         steps = range(0, last + 1, self.stride)
-        streams = [
-            _panels(replay, label, steps, self.size)
+        # One video at a time: two open renderers would switch their OpenGL context every frame.
+        videos = [
+            np.stack(list(_captioned_pictures(replay, label, steps, self.size)))
             for replay, label in zip(self.replays, self.labels, strict=True)
         ]
-        # One renderer at a time: those of two models would take turns for every frame.
-        return side_by_side([np.stack(list(stream)) for stream in streams])
+        return side_by_side(videos)
 
     @functools.cached_property
     def mp4(self) -> bytes:
@@ -79,40 +82,40 @@ class Animation:
         require_encoder()
         return encode(self.frames, self.fps)
 
+    @property
+    def data_uri(self) -> str:
+        """The video as a data address."""
+        return data_uri("video/mp4", self.mp4)
+
+    def viewer(self) -> str:
+        """Return Brax's viewer as an HTML page, which loads its scripts from the internet."""
+        return viewer_html(self.replays, self.labels)
+
     def save(self, path: str | Path) -> None:
-        """Write ``.mp4``, or ``.html``, which is Brax's viewer and needs no renderer.
+        """Write ``.mp4``, or ``.html`` with Brax's viewer, which needs no renderer.
 
         Raises:
-            UserError: another suffix, no renderer, no PyAV, or a place that cannot be written.
+            UserError: another suffix, no renderer, no PyAV, or the file cannot be written.
         """
         path = Path(path)
         require_suffix(path)
         content = self.mp4 if path.suffix == ".mp4" else self.viewer().encode()
         write_atomically(path, lambda file: file.write(content))
 
-    def viewer(self) -> str:
-        """Brax's viewer as a page of HTML; whoever opens it needs the internet."""
-        return viewer_html(self.replays, self.labels)
-
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return what a notebook shows."""
         height, width = self.frames.shape[1:3]
         return (
             f'<video controls autoplay loop muted playsinline width="{width}" height="{height}" '
             f'style="max-width:100%;height:auto" src="{self.data_uri}"></video>'
         )
 
-    @property
-    def data_uri(self) -> str:
-        """The video as an address that holds it."""
-        return data_uri("video/mp4", self.mp4)
-
 
 def render(
-    policy: SavedPolicy | str | Path,
+    policy: PolicyOrPath,
     output: str | Path | None = None,
     *,
-    expert: SavedPolicy | str | Path | None = None,
+    expert: PolicyOrPath | None = None,
     alone: bool = False,
     env: Env | None = None,
     physics: str = "auto",
@@ -120,26 +123,26 @@ def render(
     seconds: float = SECONDS,
     size: int = SIZE,
 ) -> Animation:
-    """Show one episode of ``policy``, beside the expert's from the same initial state.
+    """Show one episode of ``policy`` beside the expert's from the same initial state.
 
     Args:
-        policy: the policy, its file, or a run directory, of which the first seed is shown.
-        output: write ``.mp4``, or ``.html``, which is Brax's interactive viewer. Without it nothing
-            is written: in a notebook, the value plays.
-        expert: the expert or its file; without it the one that ships with the package, if one does.
-        alone: show no expert.
-        env: an environment that MuJoCo simulates; without it, the task that the policy names.
-        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
-        seed: of the initial state.
-        seconds: show at most so much of the episode.
+        policy: the policy, its file, or a run directory, whose first seed is shown.
+        output: an ``.mp4`` file, or an ``.html`` file with Brax's interactive viewer. Without it
+            nothing is written; a notebook plays the returned value.
+        expert: the expert or its file; by default the shipped expert of the task, if there is one.
+        alone: do not show an expert.
+        env: an environment that MuJoCo simulates; by default the task that the policy names.
+        physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by its name.
+        seed: seed of the initial state.
+        seconds: longest part of the episode to show.
         size: height and width of each picture in pixels.
 
     Returns:
-        The animation; its ``frames`` are an array, its ``save`` writes it once more.
+        The animation. Its ``frames`` are an array; ``save`` writes it to another file.
 
     Raises:
-        UserError: something handed in is wrong, MuJoCo does not simulate the task, there is no
-            renderer, or PyAV is missing.
+        UserError: an argument is wrong, MuJoCo does not simulate the task, there is no renderer,
+            or PyAV is missing.
     """
     if not 16 <= size <= 4096 or size % 2:
         raise UserError(f"size is {size}: it must be an even number from 16 to 4096")
@@ -148,13 +151,12 @@ def render(
         require_suffix(output)
         require_writable(output)
     shown = {"policy": _load(policy, env)}
-    if not alone and (beside := _find_expert(policy, shown["policy"], expert)) is not None:
-        shown = {"expert": _load(beside, env)} | shown
-        env_ids = {each.env_id for each in shown.values()}
-        if env is None and len(env_ids) > 1:
+    if not alone and (beside := _find_expert(policy, shown["policy"], expert, env)) is not None:
+        shown = {"expert": beside} | shown
+        if env is None and beside.env_id != shown["policy"].env_id:
             raise UserError(
-                f"the expert is of {shown['expert'].env_id}, the policy of "
-                f"{shown['policy'].env_id}: give one of the same task, or show the policy alone"
+                f"the expert is of {beside.env_id}, the policy of {shown['policy'].env_id}: give "
+                "an expert of the same task, or show the policy alone"
             )
     if output is None or output.suffix == ".mp4":
         require_encoder()
@@ -169,7 +171,27 @@ def render(
     return animation
 
 
-def _load(policy: SavedPolicy | str | Path, env: Env | None) -> SavedPolicy:
+def shipped_expert(env_id: str, *imitated: Source | None) -> SavedPolicy | None:
+    """Return the shipped expert of the task, if any; the paper's if a run ``imitated`` it."""
+    try:
+        return load_policy(expert_path(env_id, of_paper=Source("expert", "paper") in imitated))
+    except UserError:
+        return None
+
+
+def _find_expert(
+    policy: PolicyOrPath, loaded: SavedPolicy, expert: PolicyOrPath | None, env: Env | None
+) -> SavedPolicy | None:
+    """Return the expert that was asked for, else the one that ships for the task, if any."""
+    if expert is not None:
+        return _load(expert, env)
+    imitated = None
+    if not isinstance(policy, SavedPolicy) and (path := Path(policy) / "config.json").is_file():
+        imitated = parse_source(read_config(path).get("source"), str(path))
+    return shipped_expert(loaded.env_id, imitated)
+
+
+def _load(policy: PolicyOrPath, env: Env | None) -> SavedPolicy:
     if isinstance(policy, SavedPolicy):
         return policy
     path = policy_files(Path(policy))[0]
@@ -179,36 +201,10 @@ def _load(policy: SavedPolicy | str | Path, env: Env | None) -> SavedPolicy:
     return loaded
 
 
-def _find_expert(
-    policy: SavedPolicy | str | Path, loaded: SavedPolicy, expert: SavedPolicy | str | Path | None
-) -> SavedPolicy | str | Path | None:
-    """The expert that is asked for, or else the one that ships with the package, if one does."""
-    if expert is not None:
-        return expert
-    try:
-        return expert_path(loaded.env_id, of_paper=_imitates_paper(policy))
-    except UserError:
-        return None
-
-
-def _imitates_paper(policy: SavedPolicy | str | Path) -> bool:
-    """Whether it is a run that was given the expert of the paper's return."""
-    if isinstance(policy, SavedPolicy) or not (path := Path(policy) / "config.json").is_file():
-        return False
-    source = read_config(path).get("source")
-    kind, name = (source.get(key) if isinstance(source, dict) else None for key in ("kind", "name"))
-    return (kind, name) == ("expert", "paper")
-
-
 def require_suffix(path: Path) -> None:
-    """Raise UserError unless we write files that are called like that."""
+    """Raise UserError unless the file name ends in a suffix that can be written."""
     if path.suffix not in SUFFIXES:
-        raise UserError(f"{path}: the name has to end in {' or '.join(SUFFIXES)}")
-
-
-def data_uri(kind: str, content: bytes) -> str:
-    """An address that holds a file of that kind."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+        raise UserError(f"{path}: the name must end in {' or '.join(SUFFIXES)}")
 
 
 def require_encoder() -> None:
@@ -220,14 +216,14 @@ def require_encoder() -> None:
 
 
 def encode(frames: np.ndarray, fps: Fraction) -> bytes:
-    """``frames (T, H, W, 3)`` uint8, H and W even, as the bytes of an MP4 file."""
+    """Encode ``frames (T, H, W, 3)`` uint8, H and W even, as an MP4 file."""
     import av
 
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "21"})
         stream.height, stream.width = frames.shape[1:3]
-        stream.pix_fmt = "yuv420p"  # which every browser plays
+        stream.pix_fmt = "yuv420p"  # every browser plays it
         for frame in frames:
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
             container.mux(stream.encode(picture))
@@ -235,46 +231,51 @@ def encode(frames: np.ndarray, fps: Fraction) -> bytes:
     return file.getvalue()
 
 
-def side_by_side(panels: Sequence[np.ndarray]) -> np.ndarray:
-    """Videos ``(T, h, w, 3)`` of the same shape in rows of at most ``COLUMNS``."""
-    num_frames, height, width, _ = panels[0].shape
-    columns = min(len(panels), COLUMNS)
-    rows = -(-len(panels) // columns)
-    shape = (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP)
-    together = np.full((num_frames, *shape, 3), DARK, np.uint8)
-    for index, panel in enumerate(panels):
-        row, column = divmod(index, columns)
-        top, left = row * (height + GAP), column * (width + GAP)
-        together[:, top : top + height, left : left + width] = panel
+def data_uri(kind: str, content: bytes) -> str:
+    """Return a data address that holds a file of the MIME type ``kind``."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def side_by_side(videos: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrange videos ``(T, h, w, 3)`` of the same shape in rows of at most ``COLUMNS``."""
+    num_frames, height, width, _ = videos[0].shape
+    columns = min(len(videos), COLUMNS)
+    rows = -(-len(videos) // columns)
+    shape = (num_frames, rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3)
+    together = np.full(shape, DARK, np.uint8)
+    for index, video in enumerate(videos):
+        top, left = index // columns * (height + GAP), index % columns * (width + GAP)
+        together[:, top : top + height, left : left + width] = video
     return together
 
 
-def _panels(replay: Replay, label: str, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
-    """The pictures at ``steps`` below a caption: label, return so far, time.
+def _captioned_pictures(
+    replay: Replay, label: str, steps: Sequence[int], size: int
+) -> Iterator[np.ndarray]:
+    """Yield the pictures at ``steps`` below a caption: label, return so far, time.
 
-    Where the episode is over, its last picture stays, darker if it ended in a terminal state.
+    After the end of the episode the last picture stays, darker if the final state was terminal.
     """
     returns = np.concatenate([[0.0], np.cumsum(replay.env_rewards, dtype=np.float64)])
     live = [step for step in steps if step <= replay.num_steps]
     drawn = pictures(replay, [*live, replay.num_steps], size)
+
+    def facts(step: int) -> str:
+        return f"return {returns[step]:.0f}   {step * replay.dt:.1f} s"
+
     for step in live:
-        text = f"return {returns[step]:.0f}   {step * replay.dt:.1f} s"
-        yield _captioned(next(drawn), label, text, PALE)
-    rest = len(steps) - len(live)
-    if rest:
-        last = next(drawn)
-        end = f"{replay.num_steps * replay.dt:.1f} s"
-        text, color = f"return {returns[-1]:.0f}   {end}", PALE
+        yield _captioned(next(drawn), label, facts(step), PALE)
+    if rest := len(steps) - len(live):
+        last, text, color = next(drawn), facts(replay.num_steps), PALE
         if replay.ended:
-            last, text, color = last // 2, f"ended: return {returns[-1]:.0f}   {end}", WARM
-        frozen = _captioned(last, label, text, color)
-        yield from [frozen] * rest
+            last, text, color = last // 2, f"ended: {text}", WARM
+        yield from [_captioned(last, label, text, color)] * rest
 
 
 def _captioned(
     picture: np.ndarray, label: str, text: str, color: tuple[int, int, int]
 ) -> np.ndarray:
-    """The picture with a line above it, of even height: a player's controls hide what is below."""
+    """Add a line of text above, where a player's controls do not hide it; its height is even."""
     height, width = picture.shape[:2]
     bar = 2 * max(height // 22, 8)
     image = Image.new("RGB", (width, height + bar), DARK)

@@ -1,4 +1,4 @@
-"""Episodes in Brax's interactive viewer, from any model of MuJoCo's."""
+"""Episodes of any MuJoCo model in Brax's interactive viewer."""
 
 import json
 import re
@@ -10,7 +10,7 @@ import numpy as np
 
 from ailsrs_jax.show.replay import Replay
 
-# What the viewer can draw; height fields and signed distances it cannot, ellipsoids become spheres.
+# The viewer draws no height fields and no signed distances, and ellipsoids as spheres.
 SHAPES = {
     mujoco.mjtGeom.mjGEOM_PLANE: "Plane",
     mujoco.mjtGeom.mjGEOM_SPHERE: "Sphere",
@@ -20,17 +20,17 @@ SHAPES = {
     mujoco.mjtGeom.mjGEOM_BOX: "Box",
     mujoco.mjtGeom.mjGEOM_MESH: "Mesh",
 }
-UNSAID = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of geoms without one
-SHOWN_GROUPS = 3  # of geoms: 0, 1 and 2, as in MuJoCo's own viewer
-BESIDE = [0.32, 0.34, 0.38]  # colour of all that is not the last: the expert is grey
-PLAIN = [0.4, 0.33, 0.26]  # Brax's, where the model gives no colour, or a texture
+UNSET = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of geoms without one
+SHOWN_GROUPS = 3  # geoms of groups 0, 1 and 2 are shown, as in MuJoCo's own viewer
+GREY = [0.32, 0.34, 0.38]  # of every episode but the last, such as the expert's
+PLAIN = [0.4, 0.33, 0.26]  # Brax's colour where the model gives none, or a texture
 
 
 def viewer_html(replays: Sequence[Replay], labels: Sequence[str]) -> str:
-    """A page that plays the episodes next to one another; it loads its scripts from the internet.
+    """Return a page that plays the episodes side by side; its scripts come from the internet.
 
-    Brax's own way to it, ``brax.io.html.render``, goes through Brax's model of the world, which
-    refuses some of MuJoCo's; the viewer itself does not care.
+    ``brax.io.html.render`` would need a model of Brax's, which rejects some of MuJoCo's features
+    that the viewer itself can draw.
     """
     from brax.io.html import render_from_json
 
@@ -38,72 +38,63 @@ def viewer_html(replays: Sequence[Replay], labels: Sequence[str]) -> str:
 
 
 def viewer_scene(replays: Sequence[Replay], labels: Sequence[str]) -> dict[str, Any]:
-    """What the viewer takes: shapes by link, and where each link is in each step."""
+    """Return the viewer's input: shapes by link, and the pose of each link in each step."""
     geoms: dict[str, list[dict[str, Any]]] = {}
-    tracks: list[tuple[np.ndarray, np.ndarray]] = []
-    last = max(replay.num_steps for replay in replays)
+    poses: list[tuple[np.ndarray, np.ndarray]] = []
+    num_steps = max(replay.num_steps for replay in replays)
     for number, (replay, label) in enumerate(zip(replays, labels, strict=True)):
-        model = replay.model
-        positions, rotations = _bodies(replay, last)
-        # Their ways apart, across the direction that most tasks walk in.
-        positions = positions + np.array([0.0, 1.2 * model.stat.extent * number, 0.0])
-        first = sum(track[0].shape[1] for track in tracks)
-        tracks.append((positions, rotations))
-        is_last = number == len(replays) - 1
+        model, first = replay.model, sum(positions.shape[1] for positions, _ in poses)
+        positions, rotations = _body_poses(replay, num_steps)
+        # Apart along y: most tasks move along x.
+        positions[:, :, 1] += 1.2 * model.stat.extent * number
+        poses.append((positions, rotations))
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
-            shape = _shape(model, geom, None if is_last else BESIDE)
+            shape = _shape(model, geom)
             if shape is None or (body == 0 and number > 0):  # one floor is enough
                 continue
+            if number < len(replays) - 1:
+                shape["rgba"] = [*GREY, 1.0]
             name = "world" if body == 0 else f"{label} {model.body(body).name or body}"
-            link = -1 if body == 0 else first + body
-            geoms.setdefault(re.sub(r"\W+", "_", name), []).append(shape | {"link_idx": link})
-    both = [np.concatenate(arrays, axis=1) for arrays in zip(*tracks, strict=True)]
-    states = [{"pos": p, "rot": r} for p, r in zip(*(array.round(5).tolist() for array in both))]
+            shape["link_idx"] = -1 if body == 0 else first + body
+            geoms.setdefault(re.sub(r"\W+", "_", name), []).append(shape)
+    together = (np.concatenate(arrays, axis=1).round(5).tolist() for arrays in zip(*poses))
+    states = [{"pos": positions, "rot": rotations} for positions, rotations in zip(*together)]
     return {"opt": {"timestep": replays[0].dt}, "geoms": geoms, "states": {"x": states}}
 
 
-def _bodies(replay: Replay, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(num_steps + 1, nbody, 3)`` [m] and unit quaternions of all bodies.
+def _body_poses(replay: Replay, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions ``(num_steps + 1, nbody, 3)`` [m] and unit quaternions of all bodies.
 
-    What is over stays where it was.
+    After the end of the episode the last pose stays.
     """
     data = mujoco.MjData(replay.model)
     positions, rotations = [], []
-    for qpos in replay.positions:
-        data.qpos[:] = qpos
+    for step in range(num_steps + 1):
+        data.qpos[:] = replay.positions[min(step, replay.num_steps)]
         mujoco.mj_kinematics(replay.model, data)
         positions.append(data.xpos.copy())
         rotations.append(data.xquat.copy())
-    rest = num_steps - replay.num_steps
-    return np.stack(positions + positions[-1:] * rest), np.stack(rotations + rotations[-1:] * rest)
+    return np.stack(positions), np.stack(rotations)
 
 
-def _shape(model: mujoco.MjModel, geom: int, color: list[float] | None) -> dict[str, Any] | None:
-    """One geom as the viewer takes it; None if it is not shown."""
+def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:
+    """Return one geom as the viewer reads it, or None if it is not shown."""
     kind = SHAPES.get(mujoco.mjtGeom(model.geom_type[geom]))
-    rgba = model.geom_rgba[geom]
+    rgba, material = model.geom_rgba[geom], model.geom_matid[geom]
     if kind is None or rgba[3] == 0 or model.geom_group[geom] >= SHOWN_GROUPS:
         return None
-    material = model.geom_matid[geom]
     if material >= 0 and (model.mat_texid[material] < 0).all():
         rgba = model.mat_rgba[material]
-    own = PLAIN if np.all(rgba == UNSAID) else rgba[:3].tolist()
-    size = model.geom_size[geom].tolist()
-    shape = {
-        "name": kind,
-        "pos": model.geom_pos[geom].tolist(),
-        "rot": model.geom_quat[geom].tolist(),
-        "rgba": [*(color or own), 1.0],
-        # A plane without limits is a checker board; the others' halves are lengths to the viewer.
-        "size": [0.0, 0.0, 0.0] if kind == "Plane" else size,
-    }
+    # A plane of size 0 has no edges and is drawn as a checker board.
+    size = [0.0, 0.0, 0.0] if kind == "Plane" else model.geom_size[geom].tolist()
+    color = PLAIN if np.all(rgba == UNSET) else rgba[:3].tolist()
+    position, rotation = model.geom_pos[geom].tolist(), model.geom_quat[geom].tolist()
+    shape = {"name": kind, "pos": position, "rot": rotation, "size": size, "rgba": [*color, 1.0]}
     if kind == "Mesh":
         mesh = model.mesh(model.geom_dataid[geom])
         vertices = slice(mesh.vertadr[0], mesh.vertadr[0] + mesh.vertnum[0])
         faces = slice(mesh.faceadr[0], mesh.faceadr[0] + mesh.facenum[0])
-        shape |= {
-            "vert": model.mesh_vert[vertices].tolist(),
-            "face": model.mesh_face[faces].tolist(),
-        }
+        shape["vert"] = model.mesh_vert[vertices].tolist()
+        shape["face"] = model.mesh_face[faces].tolist()
     return shape

@@ -1,4 +1,4 @@
-"""What a sweep will cost, before it runs."""
+"""The cost of a sweep, estimated before it runs."""
 
 import dataclasses
 import functools
@@ -13,39 +13,38 @@ from ailsrs_jax.components.policy import LinearPolicy, repeated
 from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
+from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.rollout import simulate
-from ailsrs_jax.trainers.parts.settings import override, parse
 
-TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # of the measurement of speed
+TRIAL_EPISODES, TRIAL_STEPS = 64, 200  # for measuring the speed of the physics
 
 
 @dataclasses.dataclass(frozen=True)
 class CostEstimate:
-    """What the cells of an algorithm on a task will cost."""
+    """The estimated cost of the cells of one algorithm on one task."""
 
     algorithm: str
     env_id: str
     engine: str
     num_cells: int
     num_programs: int  # to compile
-    env_steps: int  # at most: episodes may end early, and runs too
-    memory_bytes: int  # of the largest program's trajectories and memories
-    seconds: float | None  # at the speed of physics alone, where that is quickly measured
+    env_steps: int  # at most, because episodes and runs may end early
+    memory_bytes: int  # for the trajectories and the memory of the largest program
+    seconds: float | None  # for the physics alone; None if its speed is slow to measure
 
 
 def estimate(units: Sequence[Sequence[Cell]]) -> list[CostEstimate]:
-    """Of ``units`` of cells that are trained together, by algorithm and task."""
+    """Estimate the cost of ``units`` of cells that are trained together, by algorithm and task."""
     kinds: dict[tuple[str, str, str], list[Sequence[Cell]]] = {}
     for unit in units:
-        cell = unit[0]
-        kinds.setdefault((cell.algorithm, cell.env_id, cell.engine), []).append(unit)
+        spec = unit[0].spec
+        kinds.setdefault((spec.algorithm, str(spec.env), unit[0].engine), []).append(unit)
     estimates = []
     for (algorithm, env_id, engine), mine in kinds.items():
         cells = [cell for unit in mine for cell in unit]
         env_steps = sum(map(estimated_env_steps, cells))
-        # MJX takes longer to compile than this is worth.
-        speed = _steps_per_second(env_id, cells[0].physics) if engine == "mujoco" else None
+        # Compiling MJX would take longer than the measurement is worth.
+        speed = _steps_per_second(env_id, cells[0].spec.physics) if engine == "mujoco" else None
         estimates.append(
             CostEstimate(
                 algorithm=algorithm,
@@ -62,52 +61,37 @@ def estimate(units: Sequence[Sequence[Cell]]) -> list[CostEstimate]:
 
 
 def estimated_env_steps(cell: Cell) -> int:
-    """Environment steps that training simulates at most."""
+    """Return the maximum number of environment steps in the training of a cell."""
     settings = _settings(cell)
-    batches = 0
-    if hasattr(settings, "updates_per_iteration"):  # by trust region
-        updates = settings.updates_per_iteration * getattr(settings, "policy_steps", 1)
-        batches = updates * settings.batch_size
-    steps = _num_episodes(cell, settings) * settings.episode_length + batches
-    return int(settings.num_iterations * steps)
-
-
-def _num_episodes(cell: Cell, settings: Any) -> int:
-    """Whole episodes in an iteration."""
-    if find_algorithm(cell.algorithm).shares_devices:
-        return int(2 * settings.num_directions + settings.num_evaluation_episodes)
-    kinds = 2 if hasattr(settings, "updates_per_iteration") else 1  # of the mean, and drawn
-    return int(kinds * settings.num_evaluation_episodes)
+    return int(settings.num_iterations * settings.steps_per_iteration)
 
 
 def _memory_bytes(cell: Cell) -> int:
-    """The formula of docs/scaling.md, on one device, and the demonstrations."""
-    settings, (n, p) = _settings(cell), env_sizes(open_env(cell.env_id, cell.physics).env)
-    steps = _num_episodes(cell, settings) * settings.episode_length
-    numbers = steps * (n + p + 1)
-    if find_algorithm(cell.algorithm).shares_devices:
-        numbers += 2 * settings.num_directions * n * p
+    """Apply the formula of docs/scaling.md for one device, and add the demonstrations."""
+    spec, settings = cell.spec, _settings(cell)
+    n, p = env_sizes(open_env(spec.env, spec.physics).env)
+    steps = settings.steps_per_iteration
+    num_policies = 2 * getattr(settings, "num_directions", 0)
+    numbers = steps * (n + p + 1) + num_policies * n * p
     running = getattr(settings, "standardize_with", "") == "running"
     running |= getattr(settings, "normalize_observations", False)  # of ARS
     if jax.default_backend() == "cpu" and running:
         numbers += steps * n
     if hasattr(settings, "memory_iterations"):
-        policies = 2 * settings.num_directions
-        remembered = policies * -(-settings.memory_samples // policies)
+        remembered = num_policies * -(-settings.memory_samples // num_policies)
         numbers += 3 * settings.memory_iterations * remembered * (n + p)
-    if cell.num_trajectories is not None:
-        numbers += cell.num_trajectories * settings.episode_length * (n + p)
+    if spec.num_trajectories is not None:
+        numbers += spec.num_trajectories * settings.episode_length * (n + p)
     return 4 * numbers
 
 
 def _settings(cell: Cell) -> Any:
-    settings = preset_settings(cell.env_id, cell.preset, cell.algorithm)
-    return override(settings, parse(settings, cell.settings))
+    return find_algorithm(cell.spec.algorithm).settings(**cell.all_settings)
 
 
 @functools.cache
 def _steps_per_second(env_id: str, physics: str) -> float:
-    """Of live episodes of a policy that does nothing."""
+    """Measure the live steps of episodes with a policy whose actions are zero."""
     env = open_env(env_id, physics).env
     n, p = env_sizes(env)
     still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))

@@ -1,4 +1,4 @@
-"""Sweeps on a Ray cluster."""
+"""Run a sweep on a Ray cluster."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.sweeps.cells import Cell
 
-RETRIES = 10  # of a unit whose worker is lost; each goes on from its newest checkpoint
+RETRIES = 10  # of a unit whose worker is lost; each resumes from the newest checkpoint
 
 
 def run_on_ray(
@@ -16,20 +16,20 @@ def run_on_ray(
     episodes: int,
     track: str | None,
 ) -> Iterator[tuple[tuple[Cell, ...], str | None]]:
-    """Run ``units`` on the cluster that ``RAY_ADDRESS`` names, or on this machine alone.
+    """Run ``units`` on the Ray cluster at ``RAY_ADDRESS``, or on this machine if it is not set.
 
-    A unit gets a GPU or, where the cluster has none, all cores of a node. All nodes have to see
-    ``output``, and the working directory with what the cells name, under the same paths.
+    A unit gets one GPU, or all cores of a node if the cluster has no GPU. All nodes have to see the
+    working directory, ``output`` and the files of demonstrations under the same paths.
 
     Args:
-        run_unit: what trains a unit, given the unit, ``output``, ``episodes`` and ``track``.
+        run_unit: trains a unit; called with the unit, ``output``, ``episodes`` and ``track``.
         units: cells that are trained together.
         output: the directory of the sweep.
-        episodes: of each kept policy.
-        track: where else the metrics go.
+        episodes: the number of evaluation episodes for each kept policy.
+        track: the tracker of the metrics, if any.
 
     Yields:
-        Each unit as it ends, and why it could not be run, if so.
+        Each unit when it has ended, and the reason if it could not be run.
 
     Raises:
         UserError: Ray is not installed, or the cluster does not answer.
@@ -41,7 +41,7 @@ def run_on_ray(
     try:
         ray.init(log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError) as error:
-        raise UserError(f"no Ray cluster: {one_line(error)}") from error
+        raise UserError(f"cannot connect to a Ray cluster: {one_line(error)}") from error
     try:
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         resources = {"num_cpus": min(node["CPU"] for node in nodes if "CPU" in node)}
@@ -57,7 +57,7 @@ def run_on_ray(
             except ray.exceptions.RayTaskError as error:
                 problem = one_line(error.cause)
             except ray.exceptions.RayError as error:
-                problem = f"no worker survived it: {one_line(error)}"
+                problem = f"all its workers were lost: {one_line(error)}"
             yield unit, problem
     finally:
         ray.shutdown()

@@ -1,9 +1,10 @@
-"""What a sweep has measured: its ``results.csv``, ``curves.csv`` and ``timings.csv``, read."""
+"""The results of a sweep: the columns of its three tables, and reading them as typed objects."""
 
 import dataclasses
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -13,55 +14,57 @@ from ailsrs_jax.runs.storage.metrics import read_rows
 DONE = "done"
 NOT_RUN = "not run"
 
+RowT = TypeVar("RowT")
+
 
 @dataclasses.dataclass(frozen=True)
 class CellResult:
-    """One row of ``results.csv``: an algorithm on a task, with one seed. NaN is an empty field."""
+    """One row of ``results.csv``: an algorithm on a task with one seed. An empty number is NaN."""
 
-    cell: str  # its name
-    label: str  # of its entry in the sweep
+    cell: str  # the cell's name
+    label: str  # of the cell's entry in the sweep file
     algorithm: str
     env_id: str
     preset: str
-    settings: str  # NAME=VALUE;NAME=VALUE of what differs from the preset
-    demonstrations: str  # what they are, if not the shipped expert's
-    num_trajectories: int | None  # None where it learns from the environment's reward
-    subsample: int  # one step in so many of them
+    settings: str  # settings that differ from the preset, as NAME=VALUE;NAME=VALUE
+    demonstrations: str  # empty for those of the shipped expert
+    num_trajectories: int | None  # None for an algorithm that learns from the reward
+    subsample: int  # every subsample-th step of the demonstrations is used
     seed: int
     physics: str
     iterations: float
-    env_steps: float  # live ones, in training
+    env_steps: float  # live steps of training
     kept_iteration: float
-    return_mean: float  # of the kept policy, in Gymnasium's own environment, as the next two
+    return_mean: float  # of the kept policy in Gymnasium's environment, like the next two
     return_std: float  # over episodes
     length_mean: float
     last_return: float  # of the last iteration's policy
     mean_return_over_training: float
-    steps_to_90: float  # live steps until 0.9 of the expert's return; NaN if never
-    expert_return: float  # NaN where there is no expert, as on one's own task
+    steps_to_90: float  # live steps until 0.9 of the expert's return; NaN if never reached
+    expert_return: float  # NaN if the task has no expert
     random_return: float
-    normalized: float  # return_mean as a score: 0 is random, 1 the expert
-    status: str  # DONE, NOT_RUN or "failed: why"
+    normalized: float  # return_mean as a score: 0 is a random policy, 1 is the expert
+    status: str  # DONE, NOT_RUN or "failed: reason"
 
     @property
     def done(self) -> bool:
-        """Whether it ended with a policy."""
+        """Whether the cell has finished with a policy."""
         return self.status == DONE
 
     @property
     def normalized_over_training(self) -> float:
-        """``mean_return_over_training`` as a score: 0 is random, 1 the expert."""
+        """``mean_return_over_training`` as a score: 0 is a random policy, 1 is the expert."""
         return self.normalize(self.mean_return_over_training)
 
     def normalize(self, returns: Any) -> Any:
-        """Returns as scores, of the same shape: (returns − random) / (expert − random)."""
+        """Convert returns to scores of the same shape: (return − random) / (expert − random)."""
         scale = self.expert_return - self.random_return
         return (returns - self.random_return) / (scale or math.nan)
 
 
 @dataclasses.dataclass(frozen=True)
 class Curve:
-    """The learning curve of a cell; a row of each array is an iteration. NaN is an empty field."""
+    """The learning curve of a cell: one array element for each iteration, NaN if it is empty."""
 
     iterations: np.ndarray
     env_steps: np.ndarray
@@ -70,111 +73,108 @@ class Curve:
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
-    """Wall-clock facts of a cell [s]. NaN is an empty field."""
+    """The wall-clock times of a cell [s]. An empty number is NaN."""
 
     train_seconds: float
     compile_seconds: float
-    seconds_to_90_percent: float  # NaN if never
+    seconds_to_90_percent: float  # NaN if never reached
     hardware: str
 
 
 @dataclasses.dataclass(frozen=True)
 class SweepResults:
-    """Everything a sweep has measured; of cells that failed there may be no curve or timing."""
+    """The results of a sweep. Failed cells may lack a curve and a timing."""
 
-    cells: tuple[CellResult, ...]  # in the sweep's order
-    curves: dict[str, Curve]  # by the cell's name
-    timings: dict[str, Timing]  # by the cell's name
+    cells: tuple[CellResult, ...]  # in the order of the sweep
+    curves: dict[str, Curve]  # by cell name
+    timings: dict[str, Timing]  # by cell name
 
     @property
     def done(self) -> list[CellResult]:
-        """The cells that ended with a policy."""
+        """The cells that have finished with a policy."""
         return [cell for cell in self.cells if cell.done]
 
 
-# What a cell that is done has in any case.
+_CURVE = ("iteration", "env_steps", "evaluation_return")  # the arrays of a Curve
+COLUMNS = {  # of each table, by the name of its file
+    "results.csv": tuple(get_type_hints(CellResult)),
+    "curves.csv": (
+        *("cell", *_CURVE, "evaluation_length"),
+        *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
+    ),
+    "timings.csv": ("cell", *get_type_hints(Timing)),
+}
+
+# A finished cell has a finite number in each of these columns.
 _MEASURED = (
     *("iterations", "env_steps", "kept_iteration", "return_mean", "return_std", "length_mean"),
     "random_return",
 )
-_TEXT = (
-    *("cell", "label", "algorithm", "env_id", "preset", "settings", "demonstrations", "physics"),
-    "status",
-)
 
 
 def read_results(directory: Path) -> SweepResults:
-    """Read the three files of a sweep's directory, or of committed results.
+    """Read the three tables in the directory of a sweep, or of committed results.
 
     Raises:
-        UserError: one cannot be read, lacks a column or a value, or holds what is not a number.
+        UserError: a table cannot be read, lacks a column, or holds a wrong or missing value.
     """
     cells: dict[str, CellResult] = {}
-    path = directory / "results.csv"
-    for where, row in _read_table(path, [field.name for field in dataclasses.fields(CellResult)]):
-        cell = _cell(where, row)
+    for where, row in read_table(directory / "results.csv", COLUMNS["results.csv"]):
+        cell = _parse(CellResult, where, row)
         if cell.cell in cells:
             raise UserError(f"{where}: cell {cell.cell} is there twice")
+        for name in _MEASURED:
+            if cell.done and not math.isfinite(getattr(cell, name)):
+                raise UserError(f"{where}: {name} of a cell that is done is '{row[name]}'")
         cells[cell.cell] = cell
+    curves: dict[str, list[list[float]]] = {}
+    for where, row in read_table(directory / "curves.csv", ("cell", *_CURVE)):
+        curves.setdefault(row["cell"], []).append([_number(where, x, row[x]) for x in _CURVE])
+    timings = {
+        row["cell"]: _parse(Timing, where, row)
+        for where, row in read_table(directory / "timings.csv", COLUMNS["timings.csv"])
+    }
     return SweepResults(
         cells=tuple(cells.values()),
-        curves=_read_curves(directory / "curves.csv"),
-        timings=_read_timings(directory / "timings.csv"),
+        curves={name: Curve(*np.array(values).T) for name, values in curves.items()},
+        timings=timings,
     )
 
 
-def _cell(where: str, row: dict[str, str]) -> CellResult:
-    values: dict[str, Any] = {name: row[name] for name in _TEXT}
-    for name in row.keys() - values.keys():
-        values[name] = _number(where, name, row[name])
-    for name in ("seed", "num_trajectories", "subsample"):
-        if math.isnan(values[name]):
-            values[name] = None
-        elif values[name] % 1:
-            raise UserError(f"{where}: {name} is '{row[name]}', not a whole number")
-        else:
-            values[name] = int(values[name])
-    for name in ("seed", "subsample"):
-        if values[name] is None:
-            raise UserError(f"{where}: there is no {name}")
-    cell = CellResult(**values)
-    if cell.done:
-        for name in _MEASURED:
-            if not math.isfinite(values[name]):
-                raise UserError(f"{where}: {name} of a cell that is done is '{row[name]}'")
-    return cell
+def read_table(path: Path, columns: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield where each row of a CSV file is, for error messages, and its fields by column.
 
-
-def _read_curves(path: Path) -> dict[str, Curve]:
-    columns = ("iteration", "env_steps", "evaluation_return")
-    rows: dict[str, list[list[float]]] = {}
-    for where, row in _read_table(path, ["cell", *columns]):
-        values = [_number(where, name, row[name]) for name in columns]
-        rows.setdefault(row["cell"], []).append(values)
-    return {name: Curve(*np.array(values).T) for name, values in rows.items()}
-
-
-def _read_timings(path: Path) -> dict[str, Timing]:
-    columns = ("train_seconds", "compile_seconds", "seconds_to_90_percent")
-    timings = {}
-    for where, row in _read_table(path, ["cell", *columns, "hardware"]):
-        values: dict[str, Any] = {name: _number(where, name, row[name]) for name in columns}
-        timings[row["cell"]] = Timing(hardware=row["hardware"], **values)
-    return timings
-
-
-def _read_table(path: Path, columns: list[str]) -> list[tuple[str, dict[str, str]]]:
-    """Of each row, where it is, and its fields in ``columns`` by name; others are left out."""
+    Raises:
+        UserError: the file cannot be read, lacks one of ``columns``, or is ragged.
+    """
     header, *rows = read_rows(path)
     if missing := [name for name in columns if name not in header]:
-        raise UserError(f"{path} has no column {', '.join(missing)}: not a file of a sweep")
-    table = []
+        raise UserError(f"{path} has no column {', '.join(missing)}: it is not a table of a sweep")
     for line, row in enumerate(rows, 2):
         if len(row) != len(header):
             raise UserError(f"{path}, row {line}: {len(row)} fields, the header has {len(header)}")
-        fields = dict(zip(header, row, strict=True))
-        table.append((f"{path}, row {line}", {name: fields[name] for name in columns}))
-    return table
+        yield f"{path}, row {line}", dict(zip(header, row, strict=True))
+
+
+def _parse(kind: type[RowT], where: str, row: dict[str, str]) -> RowT:
+    """Build a dataclass from a row of text, each field by its type."""
+    types = get_type_hints(kind)
+    return kind(**{name: _value(where, name, row[name], types[name]) for name in types})
+
+
+def _value(where: str, name: str, text: str, kind: Any) -> str | float | None:
+    if kind is str:
+        return text
+    number = _number(where, name, text)
+    if kind is float:
+        return number
+    if math.isnan(number):
+        if kind is int:
+            raise UserError(f"{where}: there is no {name}")
+        return None
+    if number % 1:
+        raise UserError(f"{where}: {name} is '{text}', not a whole number")
+    return int(number)
 
 
 def _number(where: str, name: str, text: str) -> float:

@@ -1,4 +1,4 @@
-"""What a sweep is to do: a declarative grid, expanded into cells and checked as a whole."""
+"""Sweep files: a declarative grid that is expanded into cells and checked before anything runs."""
 
 import dataclasses
 import hashlib
@@ -12,20 +12,20 @@ from typing import Any
 
 import jax
 
-from ailsrs_jax.data.sources import PAPER_EXPERT
+from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 from ailsrs_jax.files import read_small
-from ailsrs_jax.runs.plan import plan as make_plan
+from ailsrs_jax.own_code import is_here, is_own
+from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.sweeps.cells import Cell, Sweep
-from ailsrs_jax.trainers.algorithms import changed_settings
 from ailsrs_jax.trainers.parts.settings import as_text
 
-# Keys of a grid entry, or common to all of them, with the type of their values; any of these may be
-# a list, whose elements are tried in turn. ``settings`` is a table of such values.
+# Keys of a grid entry with the type of their values, which are fields of RunSpec. Each may be a
+# list, whose values are tried in turn; ``settings`` is a table of such values.
 AXES: dict[str, type] = {
     "algorithm": str,
     "env": str,
@@ -38,28 +38,18 @@ AXES: dict[str, type] = {
 }
 KEYS = (*AXES, "settings", "label")
 COMMON_KEYS = (*KEYS, "grid", "episodes")
-DEFAULTS: dict[str, Any] = {
-    "algorithm": "ailsrs",
-    "preset": "tuned",
-    "physics": "auto",
-    "demonstrations": None,
-    "num_trajectories": None,
-    "subsample": 1,
-    "seeds": 0,
-}
-EPISODES = 100  # of each kept policy, in Gymnasium's own environment
+EPISODES = 100  # in Gymnasium's environment, for each kept policy
 
-MOST_CELLS = 10_000  # more is a mistake, and would take hours to check
-
-LONGEST_LABEL = 80  # characters
-LONGEST_NAME = 100  # characters; with room for what files in a directory of that name are called
+MAX_CELLS = 10_000  # a larger grid is a mistake, and would take hours to check
+MAX_LABEL = 80  # characters
+MAX_NAME = 100  # characters; the names of files in a directory of that name are longer
 
 
 def read_spec(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
+    """Read a sweep file.
 
     Raises:
-        UserError: it cannot be read, is not TOML, or names an environment that is not safe to open.
+        UserError: the file is not TOML, or names code that is not safe to import.
     """
     try:
         spec = tomllib.loads(read_small(path).decode())
@@ -68,25 +58,40 @@ def read_spec(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not TOML: {one_line(error)}") from error
     entries = spec.get("grid")
+    # Values of the wrong type are left to expand().
     for table in (spec, *(entries if isinstance(entries, list) else ())):
-        names = table.get("env") if isinstance(table, dict) else None
-        for name in names if isinstance(names, list) else (names,):
-            if isinstance(name, str):  # what else it may be, expand() says
-                require_harmless(name, str(path))
+        if isinstance(table, dict):
+            for name in _leaves(table.get("env")):
+                if isinstance(name, str):
+                    require_harmless(name, str(path))
+            for name in _leaves([table.get("algorithm"), table.get("settings")]):
+                if isinstance(name, str) and is_own(name) and not is_here(name):
+                    raise UserError(f"{path} names {name}: no such module is in this directory")
     return spec
 
 
-def expand(spec: Mapping[str, Any]) -> Sweep:
-    """All cells of ``spec``, in its order, each checked as a run of its own would be.
+def _leaves(value: Any) -> Iterator[Any]:
+    """Yield the values in nested lists and tables."""
+    if isinstance(value, list | Mapping):
+        for each in value.values() if isinstance(value, Mapping) else value:
+            yield from _leaves(each)
+    else:
+        yield value
 
-    Later grid entries come later; of an entry the keys in the order of :data:`AXES` vary from
-    slowest to fastest, the settings in the order of their table before the seeds.
+
+def expand(spec: Mapping[str, Any]) -> Sweep:
+    """Expand ``spec`` into cells, each of which is checked like a run of its own.
+
+    The cells are in the order of the grid entries. Within an entry the keys vary from slowest to
+    fastest in the order of :data:`AXES`, and the settings in the order of their table before seeds.
 
     Raises:
-        UserError: something is wrong; the message names the grid entry.
+        UserError: something is wrong. The message names the grid entry.
     """
     _require_keys("the sweep", spec, COMMON_KEYS)
-    _require_ordinary_numbers(spec)
+    if any(isinstance(value, int) and abs(value) >= 2**63 for value in _leaves(spec)):
+        # Python would refuse to print it in a message.
+        raise UserError("the sweep has a whole number of more than 64 bits: write a smaller one")
     entries = spec.get("grid", [])
     if not isinstance(entries, list) or not entries:
         raise UserError("the sweep has no [[grid]] entry: write one for each block of runs")
@@ -94,137 +99,106 @@ def expand(spec: Mapping[str, Any]) -> Sweep:
     if type(episodes) is not int or episodes < 1:
         raise UserError(f"episodes is {episodes!r}: it must be a whole number from 1")
     common = {key: value for key, value in spec.items() if key in KEYS}
-    cells: dict[str, Cell] = {}
-    made_by: dict[str, str] = {}
+    cells: dict[str, tuple[Cell, str]] = {}
     for number, entry in enumerate(entries, start=1):
         where = f"grid entry {number}"
         if isinstance(entry, dict) and isinstance(entry.get("label"), str):
             where += f" ({entry['label']})"
         for cell in _expand_entry(where, common, entry):
             if cell.name in cells:
-                raise UserError(f"{where}: {cell.name} is already in {made_by[cell.name]}")
-            cells[cell.name] = cell
-            made_by[cell.name] = where
-            if len(cells) > MOST_CELLS:
-                raise UserError(f"{where}: the sweep has more than {MOST_CELLS:,} cells")
-    return Sweep(tuple(cells.values()), episodes)
+                raise UserError(f"{where}: {cell.name} is already in {cells[cell.name][1]}")
+            cells[cell.name] = cell, where
+            if len(cells) > MAX_CELLS:
+                raise UserError(f"{where}: the sweep has more than {MAX_CELLS:,} cells")
+    return Sweep(tuple(cell for cell, _ in cells.values()), episodes)
 
 
 def _expand_entry(where: str, common: dict[str, Any], entry: Any) -> Iterator[Cell]:
     if not isinstance(entry, dict):
         raise UserError(f"{where}: it must be a table, [[grid]]")
     _require_keys(where, entry, KEYS)
-    given = DEFAULTS | common | entry
-    if "env" not in given:
+    given = {"seeds": 0} | common | entry
+    if given.get("env") is None:
         raise UserError(f"{where}: there is no env")
     label = given.get("label")
     if not (label is None or isinstance(label, str)):
-        raise UserError(f"{where}: label is {label!r}: it must be one text, for all of the entry")
-    if label is not None and not (label.isprintable() and 0 < len(label) <= LONGEST_LABEL):
+        raise UserError(f"{where}: label is {label!r}: it must be one text for the whole entry")
+    if label is not None and not (label.isprintable() and 0 < len(label) <= MAX_LABEL):
         raise UserError(
-            f"{where}: label is {label!r}: it must be of 1 to {LONGEST_LABEL} printable characters"
+            f"{where}: label is {label!r}: it must have 1 to {MAX_LABEL} printable characters"
         )
-    tables = [table.get("settings", {}) for table in (common, entry)]
-    for table in tables:
+    settings: dict[str, Any] = {}
+    for table in (common.get("settings", {}), entry.get("settings", {})):
         if not isinstance(table, dict):
             raise UserError(f"{where}: settings is {table!r}: it must be a table")
-    settings = {f"settings.{name}": value for table in tables for name, value in table.items()}
+        settings |= table
     seeds = _values(where, "seeds", given["seeds"])
-    axes = {key: _values(where, key, given[key]) for key in AXES if key != "seeds"}
-    axes |= {key: _values(where, key, value) for key, value in settings.items()}
-    if math.prod(map(len, axes.values())) * len(seeds) > MOST_CELLS:
-        raise UserError(f"{where}: it stands for more than {MOST_CELLS:,} cells")
-    for values in itertools.product(*axes.values()):
-        point = dict(zip(axes, values, strict=True))
-        yield from _check_group(where, point, seeds, label)
+    options = [key for key in AXES if given.get(key) is not None and key != "seeds"]
+    axes = [_values(where, key, given[key]) for key in options]
+    axes += [_values(where, f"settings.{name}", value) for name, value in settings.items()]
+    if math.prod(map(len, axes)) * len(seeds) > MAX_CELLS:
+        raise UserError(f"{where}: it stands for more than {MAX_CELLS:,} cells")
+    for values in itertools.product(*axes):
+        point = dict(zip(options, values))
+        changes = dict(zip(settings, values[len(options) :]))
+        spec = RunSpec(**point, settings=changes, seeds=tuple(seeds))
+        try:
+            yield from _check(spec, label)
+        except UserError as error:
+            at = f"{spec.algorithm}, {spec.env}, {spec.num_trajectories}"
+            raise UserError(f"{where} ({at}): {error}") from error
 
 
-def _check_group(
-    where: str, point: dict[str, Any], seeds: list[int], label: str | None
-) -> Iterator[Cell]:
-    """The cells of one point of the grid, which differ in nothing but the seed."""
-    settings = {
-        key.removeprefix("settings."): value
-        for key, value in point.items()
-        if key.startswith("settings.")
-    }
-    try:
-        for seed in seeds:
-            require_seed(seed)
-        spec = RunSpec(
-            env=point["env"],
-            demonstrations=point["demonstrations"],
-            algorithm=point["algorithm"],
-            num_trajectories=point["num_trajectories"],
-            subsample=point["subsample"],
-            seeds=seeds[:1],
-            preset=point["preset"],
-            settings=settings,
-            physics=point["physics"],
-        )
-        plan = make_plan(spec)
-        jax.eval_shape(lambda: (plan.make_trainer(), 0)[1])  # what it refuses, at no cost
-    except UserError as error:
-        at = ", ".join(str(point[key]) for key in ("algorithm", "env", "num_trajectories"))
-        raise UserError(f"{where} ({at}): {error}") from error
-    config = plan.config
-    named = point["demonstrations"] if plan.algorithm.imitates else None
-    cell = Cell(
-        name="",
-        label=label or plan.algorithm.title,
-        algorithm=config.algorithm,
-        env_id=config.env_id,
-        preset=config.preset,
-        settings={
-            name: as_text(value)
-            for name, value in changed_settings(
-                config.env_id, config.preset, config.algorithm, vars(config.settings)
-            ).items()
-        },
-        all_settings=dataclasses.asdict(config.settings),
-        demonstrations=named,
-        # The shipped experts' are simulated where they are needed, and differ by roundings.
-        demonstrations_sha256=(
-            None if named in (None, PAPER_EXPERT) else config.demonstrations_sha256
-        ),
+def _check(asked: RunSpec, label: str | None) -> list[Cell]:
+    """Make the cells of all seeds of ``asked``, of which the first is planned."""
+    for seed in asked.seeds:
+        require_seed(seed)
+    planned = plan(dataclasses.replace(asked, seeds=asked.seeds[:1]))
+    jax.eval_shape(lambda: (planned.make_trainer(), 0)[1])  # checks the rest at no cost
+    config = planned.config
+    spec = dataclasses.replace(
+        asked,
+        env=config.env_id,
         num_trajectories=config.num_trajectories,
-        subsample=point["subsample"],
-        physics=point["physics"],
-        engine=config.physics,
-        program=hashlib.sha256(repr(stack_key(plan)).encode()).hexdigest()[:12],
-        seed=0,
+        settings=planned.spec.settings,
     )
-    for seed in seeds:
-        yield dataclasses.replace(cell, seed=seed, name=_name(cell, seed))
+    name = _name(spec)
+    if config.physics in ENGINES:  # so that "auto" means the same on all machines
+        spec = dataclasses.replace(spec, physics=planned.spec.physics)
+    is_expert = config.source is None or config.source.kind == "expert"
+    return [
+        Cell(
+            name=f"{name}-seed{seed}",
+            label=label or planned.algorithm.title,
+            spec=dataclasses.replace(spec, seeds=(seed,)),
+            all_settings=dataclasses.asdict(config.settings),
+            engine=config.physics,
+            program=hashlib.sha256(repr(stack_key(planned)).encode()).hexdigest()[:12],
+            demonstrations_sha256=None if is_expert else config.demonstrations_sha256,
+        )
+        for seed in asked.seeds
+    ]
 
 
-def _name(cell: Cell, seed: int) -> str:
-    """Different for different cells, and the same whatever else is in the sweep."""
-    parts = [cell.env_id.removesuffix("-v5").lower(), cell.algorithm]
-    if cell.num_trajectories is not None:
-        parts.append(str(cell.num_trajectories))
-    if cell.preset != DEFAULTS["preset"]:
-        parts.append(cell.preset)
+def _name(spec: RunSpec) -> str:
+    """Make a name that tells cells apart, and does not depend on the rest of the sweep."""
+    default = RunSpec("")
+    parts = [str(spec.env).removesuffix("-v5").lower(), spec.algorithm]
+    if spec.num_trajectories is not None:
+        parts.append(str(spec.num_trajectories))
+    if spec.preset != default.preset:
+        parts.append(spec.preset)
     others = {
-        key: getattr(cell, key)
+        key: getattr(spec, key)
         for key in ("physics", "demonstrations", "subsample")
-        if getattr(cell, key) != DEFAULTS[key]
+        if getattr(spec, key) != getattr(default, key)
     }
-    parts += [f"{name}={value}" for name, value in (others | cell.settings).items()]
+    parts += [f"{name}={as_text(value)}" for name, value in {**others, **spec.settings}.items()]
     name = "-".join(parts)
     plain = re.sub(r"[^\w.=+-]", "_", name)
-    if plain != name or len(plain) > LONGEST_NAME:
-        plain = f"{plain[:LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
-    return f"{plain}-seed{seed}"
-
-
-def _require_ordinary_numbers(value: Any) -> None:
-    """Raise UserError where a whole number is so long that Python does not even print it."""
-    if isinstance(value, Mapping | list):
-        for each in value.values() if isinstance(value, Mapping) else value:
-            _require_ordinary_numbers(each)
-    elif isinstance(value, int) and abs(value) >= 2**63:
-        raise UserError("the sweep has a whole number that no computer counts to")
+    if plain != name or len(plain) > MAX_NAME:
+        plain = f"{plain[:MAX_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    return plain
 
 
 def _require_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) -> None:
@@ -237,19 +211,17 @@ def _require_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) 
 
 
 def _values(where: str, key: str, value: Any) -> list[Any]:
-    """``value`` as a list of different values, each of the right type."""
+    """Return ``value`` as a list of different values of the right type."""
     values = value if isinstance(value, list) else [value]
     if not values:
         raise UserError(f"{where}: {key} is an empty list")
-    if value is None:
-        return values
+    kind = AXES.get(key)
     for each in values:
-        if key in AXES:
-            if type(each) is not AXES[key]:
-                expected = "text" if AXES[key] is str else "a whole number"
-                raise UserError(f"{where}: {key} is {each!r}: it must be {expected}")
-        elif not isinstance(each, bool | int | float | str):
+        if kind is None and not isinstance(each, bool | int | float | str):
             raise UserError(f"{where}: {key} is {each!r}: it must be a number, true, false or text")
+        if kind is not None and type(each) is not kind:
+            expected = "text" if kind is str else "a whole number"
+            raise UserError(f"{where}: {key} is {each!r}: it must be {expected}")
     if len(set(map(str, values))) < len(values):
         raise UserError(f"{where}: {key} holds the same value twice: {value}")
     return values

@@ -1,8 +1,8 @@
-"""The statistics of a sweep: groups of seeds, interquartile means, intervals, profiles.
+"""The statistics of a sweep: groups of seeds, interquartile means, intervals and profiles.
 
 Aggregates over tasks follow Agarwal et al., "Deep Reinforcement Learning at the Edge of the
-Statistical Precipice", NeurIPS 2021. SciPy computes them and not rliable 1.2, which ignores the
-random state that it is given, wants as many seeds on every task, and does not import with pandas 3.
+Statistical Precipice", NeurIPS 2021. They are computed with SciPy because rliable 1.2 ignores its
+random state, needs the same number of seeds on every task, and does not import with pandas 3.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ THRESHOLDS = np.linspace(0, 1.2, 121)  # of the performance profiles
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A number, or an array of them, and the ends of its 95 % interval, NaN where there is none."""
+    """A number or an array with the ends of its 95 % interval, NaN if there is no interval."""
 
     value: Any
     low: Any
@@ -31,11 +31,11 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """The cells that differ in their seed only."""
+    """Cells that differ only in their seed."""
 
-    series: str  # what it is called in tables and figures
-    cells: tuple[CellResult, ...]  # those done, at least one
-    num_planned: int  # those done, and those not
+    series: str  # the name of the group's line in tables and figures
+    cells: tuple[CellResult, ...]  # the finished cells, at least one
+    num_planned: int  # finished and unfinished cells
 
     @property
     def env_id(self) -> str:
@@ -44,37 +44,38 @@ class Group:
 
     @property
     def num_trajectories(self) -> int | None:
-        """The number of demonstrations, if it learns from any."""
+        """The number of demonstrations; None for an algorithm that learns from the reward."""
         return self.cells[0].num_trajectories
 
     @property
     def condition(self) -> tuple[str, int | None]:
-        """What other series can be compared with it on."""
+        """The task and the number of demonstrations, on which series can be compared."""
         return self.env_id, self.num_trajectories
 
     @property
     def has_comparable_curves(self) -> bool:
-        """Whether what training measured is of episodes of the task's length."""
+        """Whether training was evaluated on episodes of the task's own length."""
         return bool(np.isfinite(self.values("mean_return_over_training")).any())
 
     def values(self, name: str) -> np.ndarray:
-        """A number of each cell."""
+        """Return the column ``name`` of each cell."""
         return np.array([getattr(cell, name) for cell in self.cells], float)
 
 
 def series_names(cells: Iterable[CellResult]) -> dict[str, str]:
-    """What each cell's series is called, by the cell's name.
+    """Return the name of each cell's series, by the cell's name.
 
-    It is the label, with the algorithm where cells of that label on the same task differ in it, and
-    with the preset, the settings, the engine, the demonstrations and how they are thinned out where
-    cells with as many of them do.
+    The name is the label, followed in brackets by whatever else is needed to tell series apart. The
+    algorithm is added if cells with this label differ in it on one task. Preset, settings, engine,
+    demonstrations and subsampling are added if cells with this label differ in them on one task
+    with the same number of demonstrations.
     """
     cells = list(cells)
     variants: dict[tuple[Any, ...], set[tuple[str, ...]]] = {}
     for cell in cells:
         condition = (cell.label, cell.env_id, cell.num_trajectories)
         variants.setdefault(condition, set()).add(_variant(cell))
-        # What learns from the reward has no number of demonstrations.
+        # Algorithms that learn from the reward have no number of demonstrations.
         variants.setdefault(condition[:2], set()).add(_variant(cell)[:1])
     differing: dict[str, set[int]] = {cell.label: set() for cell in cells}
     for (label, *_), same in variants.items():
@@ -98,7 +99,7 @@ def _variant(cell: CellResult) -> tuple[str, ...]:
 
 
 def group_cells(cells: Iterable[CellResult]) -> list[Group]:
-    """The groups with at least one cell done, in the order of ``cells``."""
+    """Return the groups with at least one finished cell, in the order of ``cells``."""
     cells = list(cells)
     names = series_names(cells)
     groups: dict[Hashable, list[CellResult]] = {}
@@ -113,39 +114,29 @@ def group_cells(cells: Iterable[CellResult]) -> list[Group]:
 
 
 def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """By series, the groups under the conditions that every series has been measured under.
+    """Return the groups of each series under the conditions that all series share.
 
-    A condition is a task and a number of demonstrations. A series that has no demonstrations is
-    compared on the tasks alone. Where there is no normalised return nothing has been measured.
+    A condition is a task and a number of demonstrations; series without demonstrations are compared
+    by task alone. Groups without a normalized return are left out.
     """
-    groups = [group for group in groups if scores([group])]
     by_series: dict[str, list[Group]] = {}
     for group in groups:
-        by_series.setdefault(group.series, []).append(group)
-    tasks = _in_all({group.env_id for group in mine} for mine in by_series.values())
-    conditions = _in_all(
-        {group.condition for group in mine}
-        for mine in by_series.values()
-        if mine[0].num_trajectories is not None
-    )
-    return {
-        series: [
-            group
-            for group in mine
-            if group.env_id in tasks
-            and (group.num_trajectories is None or group.condition in conditions)
-        ]
-        for series, mine in by_series.items()
-    }
+        if scores([group]):
+            by_series.setdefault(group.series, []).append(group)
+
+    def is_shared(group: Group) -> bool:
+        return all(any(_match(group, one) for one in mine) for mine in by_series.values())
+
+    return {series: list(filter(is_shared, mine)) for series, mine in by_series.items()}
 
 
-def _in_all(sets: Iterable[set[Any]]) -> set[Any]:
-    sets = list(sets)
-    return set.intersection(*sets) if sets else set()
+def _match(one: Group, other: Group) -> bool:
+    numbers = {one.num_trajectories, other.num_trajectories}
+    return one.env_id == other.env_id and (len(numbers) == 1 or None in numbers)
 
 
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
-    """The mean of the middle half of all scores, with a stratified bootstrap interval.
+    """Compute the mean of the middle half of all scores, with a stratified bootstrap interval.
 
     Args:
         strata: The scores (seeds,) of each group.
@@ -154,7 +145,7 @@ def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
 
 
 def performance_profile(strata: Sequence[np.ndarray]) -> Estimate:
-    """The share of runs that score above each of ``THRESHOLDS``, with its intervals."""
+    """Compute the share of runs that score above each of ``THRESHOLDS``, with its interval."""
     return bootstrap(
         strata, lambda scores: np.stack([(scores > t).mean(axis=-1) for t in THRESHOLDS])
     )
@@ -163,14 +154,14 @@ def performance_profile(strata: Sequence[np.ndarray]) -> Estimate:
 def bootstrap(
     strata: Sequence[np.ndarray], statistic: Callable[[np.ndarray], np.ndarray]
 ) -> Estimate:
-    """A statistic of all scores, and its percentile interval when seeds are drawn anew.
+    """Compute a statistic of all scores and its percentile bootstrap interval over seeds.
 
-    Seeds are drawn within each stratum, so that tasks keep their weight. One seed says nothing
-    about others: with a stratum of one there is no interval.
+    Seeds are resampled within each stratum, so that tasks keep their weight. There is no interval
+    if a stratum has only one seed.
 
     Args:
         strata: The scores (seeds,) of each group.
-        statistic: Takes scores (..., runs) to (..., ) or (outputs, ...).
+        statistic: A function from scores (..., runs) to (...,) or (outputs, ...).
     """
     value = statistic(np.concatenate(strata))
     if min(map(len, strata)) < 2:
@@ -184,16 +175,16 @@ def bootstrap(
         axis=-1,
         confidence_level=CONFIDENCE,
         method="percentile",
-        rng=0,  # the same figures from the same results
+        rng=0,  # so that the same results give the same figures
     ).confidence_interval
     return Estimate(value, interval.low, interval.high)
 
 
 def scores(groups: Iterable[Group], name: str = "normalized") -> list[np.ndarray]:
-    """The normalised scores (seeds,) of each group, without those that were not measured.
+    """Return the finite scores (seeds,) of each group that has any.
 
     Args:
-        groups: A stratum each.
+        groups: The groups; each becomes one stratum.
         name: ``normalized`` or ``normalized_over_training``.
     """
     measured = [group.values(name) for group in groups]
@@ -202,9 +193,9 @@ def scores(groups: Iterable[Group], name: str = "normalized") -> list[np.ndarray
 
 
 def mean_curve(curves: Sequence[Curve]) -> Curve:
-    """The mean over seeds at each iteration that all of them have reached.
+    """Compute the mean over seeds, up to the last iteration that all of them have reached.
 
-    An evaluation that diverged is left out; NaN where all did.
+    Evaluations that diverged are left out. The mean is NaN at an iteration where all diverged.
     """
     length = min(len(curve.iterations) for curve in curves)
     return Curve(
@@ -218,16 +209,16 @@ def mean_curve(curves: Sequence[Curve]) -> Curve:
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
-    """A curve (iterations,) after a Gaussian filter a fiftieth of it wide, at least 1 iteration."""
+    """Smooth a curve (iterations,) with a Gaussian whose σ is 1/50 of its length, at least 1."""
     return ndimage.gaussian_filter1d(values, max(len(values) / 50, 1), mode="nearest")
 
 
 def mean_std(values: np.ndarray) -> tuple[float, float]:
-    """Mean and sample standard deviation, NaN of a single value."""
+    """Compute the mean and the sample standard deviation, which is NaN for a single value."""
     return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else math.nan
 
 
 def median_reached(values: np.ndarray) -> tuple[float, int]:
-    """The median over seeds, counting NaN (never) as infinite; and how many are not."""
+    """Return the median over seeds with NaN (never reached) as infinity, and the finite count."""
     reached = np.isfinite(values)
     return float(np.median(np.where(reached, values, np.inf))), int(reached.sum())

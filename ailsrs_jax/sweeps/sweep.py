@@ -1,14 +1,11 @@
-"""Many runs: a declarative grid of cells, trained until all are finished."""
+"""Train the cells of a sweep: which are trained together, and what is left to do."""
 
-import hashlib
-import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from ailsrs_jax.errors import InUseError, UserError, one_line
-from ailsrs_jax.files import read_json_object, write_atomically
 from ailsrs_jax.runs.loop import Result, execute
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
@@ -16,40 +13,38 @@ from ailsrs_jax.sweeps.cells import Cell, Sweep
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.launch import run_on_ray
 from ailsrs_jax.sweeps.results import DONE, NOT_RUN
-from ailsrs_jax.sweeps.spec import MOST_CELLS, expand, read_spec
+from ailsrs_jax.sweeps.spec import MAX_CELLS, expand, read_spec
+from ailsrs_jax.sweeps.stacks import begun_stacks, split_unit, stack_directory
 from ailsrs_jax.sweeps.tables import (
-    RESULT_FILE,
+    ROW_FILE,
     TableRow,
     failed_row,
     finished_row,
-    load_result,
-    save_result,
+    load_row,
+    save_row,
     timing_row,
     write_tables,
 )
 
 SWEEP_FILE = "sweep.json"
-MAX_PARALLEL = 64  # cells in one program; whatever the machine, so that all shards agree
-
-STACK_FILE = "cells.json"  # in the directory of an unfinished stack
-CHECKPOINTS = "checkpoints/*"  # of a stack or a cell
+MAX_PARALLEL = 64  # cells in one program; the same on every machine, so that all shards agree
 
 LAUNCHERS = ("local", "ray")
 
-Unit = tuple[Cell, ...]  # what is trained as one program
+Unit = tuple[Cell, ...]  # cells that are trained together, as a stack if there are several
 
 
 class SweepWatch(Protocol):
-    """Who is told how a sweep goes."""
+    """An observer of a sweep."""
 
     def begin(self, cells: Sequence[Cell]) -> None:
-        """These cells are trained from now on, together."""
+        """Take note that these cells are now trained together."""
 
     def __call__(self, report: IterationReport) -> None:
-        """An iteration of them is done."""
+        """Take note of an iteration of these cells."""
 
     def end(self, row: TableRow) -> None:
-        """One of them is finished, or has failed; this is its row of ``results.csv``."""
+        """Take note of the row of ``results.csv`` of a cell that has finished or failed."""
 
 
 def sweep(
@@ -64,7 +59,7 @@ def sweep(
 ) -> list[TableRow]:
     """Train every cell of a grid that is not finished yet, and write the tables.
 
-    A cell that fails does not stop the others; the next call tries it again.
+    A cell that fails does not stop the others. The next call tries it again.
 
     >>> import ailsrs_jax as ail
     >>> short = {"num_iterations": 2, "episode_length": 100}
@@ -74,17 +69,18 @@ def sweep(
     ['done', 'done']
 
     Args:
-        spec: a TOML file, or what it would hold.
-        output: the directory of the sweep, where an earlier call may have left off.
-        shard: I and N, to train only the I-th of N parts, I from 0.
-        max_parallel: train at most so many cells at the same time, as one program.
-        launcher: ``local``, one program after the other on this machine, or ``ray``, on a cluster.
-        track: ``wandb`` or ``trackio``, to follow the metrics there too, as docs/tracking.md says.
-        watch: is told how it goes.
+        spec: a TOML file, or its content as a dictionary.
+        output: the directory of the sweep, which may hold the results of an earlier call.
+        shard: (I, N) to train only the I-th of N parts, counted from 0.
+        max_parallel: the maximum number of cells that are trained together, as one program.
+        launcher: ``local`` to train one program after the other on this machine, or ``ray`` to
+            train on a cluster.
+        track: ``wandb`` or ``trackio``, to send the metrics there too; see docs/tracking.md.
+        watch: an observer of the progress.
 
     Returns:
-        The rows of ``results.csv``, a cell each. One whose status is ``not run``, as of another
-        shard, or begins with ``failed:`` says nothing else of what came of it.
+        The rows of ``results.csv``, one for each cell. If the status is ``not run``, as for cells
+        of another shard, or begins with ``failed:``, there are no results in the row.
 
     Raises:
         UserError: the spec is wrong, or the directory holds another sweep or cannot be written.
@@ -99,23 +95,23 @@ def sweep(
 
 
 def require_launcher(name: str) -> None:
-    """Raise UserError unless there is such a launcher."""
+    """Raise UserError unless a launcher has this name."""
     if name not in LAUNCHERS:
         raise UserError(f"unknown launcher '{name}': use {' or '.join(LAUNCHERS)}")
 
 
 def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list[Unit]:
-    """The units of one shard: the same for the same arguments, and together all of the grid.
+    """Choose the units of a shard; the same arguments always give the same units.
 
-    The dearest units are dealt out first, each to the shard that has the least to do.
+    Units are dealt out by decreasing cost, each to the shard with the least work so far.
 
     Raises:
-        UserError: there is no such shard, or nothing may run.
+        UserError: the shard does not exist, or ``max_parallel`` is not positive.
     """
     index, count = shard
-    if not 0 <= index < count <= MOST_CELLS:
+    if not 0 <= index < count <= MAX_CELLS:
         raise UserError(
-            f"shard {index}/{count}: write I/N with I from 0 to N - 1, and N at most {MOST_CELLS}"
+            f"shard {index}/{count}: write I/N with I from 0 to N - 1, and N at most {MAX_CELLS}"
         )
     if max_parallel < 1:
         raise UserError(f"max_parallel is {max_parallel}: it must be at least 1")
@@ -137,14 +133,14 @@ def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list
 
 
 def pending(units: Sequence[Unit], output: Path) -> list[Unit]:
-    """Those of which anything is not finished."""
+    """Return the units with a cell that is not finished."""
     return [unit for unit in units if not all(is_done(output, cell) for cell in unit)]
 
 
 def is_done(output: Path, cell: Cell) -> bool:
-    """Whether a cell is finished."""
-    result = load_result(output / "cells" / cell.name)
-    return result is not None and result[0]["status"] == DONE
+    """Tell whether a cell has finished with a policy."""
+    found = load_row(output / "cells" / cell.name)
+    return found is not None and found[0]["status"] == DONE
 
 
 def run_units(
@@ -156,16 +152,16 @@ def run_units(
     watch: SweepWatch | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[TableRow]:
-    """Train ``units``, and return the rows of ``results.csv``.
+    """Train ``units`` and return the rows of ``results.csv``.
 
-    On this machine ``stop`` is asked after every iteration; if true, what is trained is saved and
-    KeyboardInterrupt raised.
+    The local launcher calls ``stop`` after every iteration. If it returns true, the state of the
+    training is saved and KeyboardInterrupt raised.
     """
     require_same_stacks(units, output)
     rows = write_tables(output, grid.cells)
     if launcher == "local":
         for unit in units:
-            if stop():  # during the last evaluation of the unit before
+            if stop():  # a signal may have arrived during the last evaluation
                 raise KeyboardInterrupt
             run_unit(unit, output, grid.episodes, track, watch, stop)
             rows = write_tables(output, grid.cells)
@@ -174,7 +170,7 @@ def run_units(
     for unit, problem in run_on_ray(run_unit, units, output, grid.episodes, track):
         for cell in unit:
             if problem is not None and not is_done(output, cell):
-                save_result(output / "cells" / cell.name, failed_row(cell, problem), None)
+                save_row(output / "cells" / cell.name, failed_row(cell, problem), None)
         rows = write_tables(output, grid.cells)
         ended = left.intersection(cell.name for cell in unit)
         for row in rows:
@@ -191,42 +187,50 @@ def run_unit(
     watch: SweepWatch | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Train cells together, or go on with them, and evaluate what they have kept."""
-    cells = [cell for cell in unit if not is_done(output, cell)]
-    if not cells:
+    """Train the unfinished cells of a unit, and evaluate the policies that they have kept."""
+    unfinished = [cell for cell in unit if not is_done(output, cell)]
+    if not unfinished:
         return  # another process has finished them meanwhile
-    stack_directory = _stack_directory(output, unit)
-    for group in _groups(unit, cells, output):
-        # Others may be at it, too, and what a stack has finished is still in its checkpoint.
+    stack = stack_directory(output, unit)
+    for group in split_unit(unit, unfinished, output):
+        # Cells of a stack that are finished still belong to its checkpoint.
         waiting = [cell for cell in group if not is_done(output, cell)]
         if not waiting:
             continue
         if watch is not None:
             watch.begin(waiting)
+        directories = [output / "cells" / cell.name for cell in group]
         outcomes: Sequence[Result | Exception]
         try:
-            outcomes = _train(group, output, stack_directory, track, watch, stop)
-        except Exception as error:  # of whatever kind: the others can still be trained
+            plans = [cell.make_plan() for cell in group]
+            for directory in directories:
+                if not (directory / "config.json").exists():  # it has failed before it began
+                    (directory / ROW_FILE).unlink(missing_ok=True)
+            outcomes = execute(
+                plans,
+                directories,
+                checkpoints=stack / "checkpoints" if len(group) > 1 else None,
+                resume="where begun",
+                track=track,
+                watch=watch,
+                stop=stop,
+            )
+        except Exception as error:  # of any kind, because the other cells can still be trained
             outcomes = [error] * len(group)
         for cell, outcome in zip(group, outcomes, strict=True):
             if cell in waiting:
-                _finish(cell, outcome, output, episodes, watch, stop)
+                if stop():  # an evaluation takes time
+                    raise KeyboardInterrupt
+                row = _finish(cell, outcome, output / "cells" / cell.name, episodes)
+                if watch is not None:
+                    watch.end(row)
     if not pending([unit], output):
-        shutil.rmtree(stack_directory, ignore_errors=True)  # each cell has its own checkpoint
+        shutil.rmtree(stack, ignore_errors=True)  # each cell has its own checkpoint now
 
 
-def _finish(
-    cell: Cell,
-    outcome: Result | Exception,
-    output: Path,
-    episodes: int,
-    watch: SweepWatch | None,
-    stop: Callable[[], bool],
-) -> None:
-    """Evaluate what a cell has kept, or note why it has failed."""
-    if stop():  # an evaluation takes its time
-        raise KeyboardInterrupt
-    directory, timing = output / "cells" / cell.name, None
+def _finish(cell: Cell, outcome: Result | Exception, directory: Path, episodes: int) -> TableRow:
+    """Evaluate the policy that a cell has kept, or record why the cell has failed."""
+    timing = None
     try:
         if isinstance(outcome, Exception):
             raise outcome
@@ -234,91 +238,21 @@ def _finish(
         timing = timing_row(cell, row, directory)
     except Exception as error:
         row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
-    if not isinstance(outcome, InUseError):  # who is at it will say what came of it
-        save_result(directory, row, timing)
-    if watch is not None:
-        watch.end(row)
-
-
-def _stack_directory(output: Path, unit: Unit) -> Path:
-    names = "".join(cell.name for cell in unit)
-    return output / "stacks" / hashlib.sha256(names.encode()).hexdigest()[:16]
-
-
-def _begun_together(stack_directory: Path) -> list[str]:
-    """Which cells a stack began with; none if it has no checkpoint, so that nothing is lost.
-
-    Raises:
-        UserError: the file is damaged.
-    """
-    path = stack_directory / STACK_FILE
-    if not path.exists() or not any(stack_directory.glob(CHECKPOINTS)):
-        return []
-    names = read_json_object(path, "of a stack; delete its directory").get("cells")
-    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
-
-
-def begun_stacks(output: Path) -> Iterator[tuple[Path, list[str]]]:
-    """The directory of each stack that a sweep has begun, and which cells it began with."""
-    for directory in (output / "stacks").glob("*"):
-        yield directory, _begun_together(directory)
+    if not isinstance(outcome, InUseError):  # the process that uses the directory will save a row
+        save_row(directory, row, timing)
+    return row
 
 
 def require_same_stacks(units: Sequence[Unit], output: Path) -> None:
-    """Raise UserError if cells have begun to be trained together otherwise than in ``units``.
+    """Raise UserError if unfinished cells belong to a stack that is not in ``units``.
 
-    They are as far as that stack is, and its checkpoint is the only one that they have.
+    The checkpoint of that stack is the only one that they have.
     """
-    mine = {_stack_directory(output, unit) for unit in units}
+    mine = {stack_directory(output, unit) for unit in units}
     names = {cell.name for unit in units for cell in unit}
-    for directory, begun in begun_stacks(output):
-        if directory not in mine and names.intersection(begun):
+    for directory, members in begun_stacks(output):
+        if directory not in mine and names.intersection(members):
             raise UserError(
                 f"{directory} holds cells that are trained together, begun with another "
-                "--max-parallel: go on with that, or delete it to begin them anew"
+                "--max-parallel: use that one again, or delete the directory to train them anew"
             )
-
-
-def _groups(unit: Unit, pending: Sequence[Cell], output: Path) -> list[list[Cell]]:
-    """The pending cells of ``unit``, each group to be trained together.
-
-    Those that an unfinished stack began with go on together; of these some may be finished by now,
-    but they are still in its checkpoint. Who has a checkpoint of its own goes on alone.
-    """
-    stack_directory = _stack_directory(output, unit)
-    begun = _begun_together(stack_directory)
-    if begun:
-        together = [cell for cell in unit if cell.name in begun]
-    else:
-        together = [
-            cell for cell in pending if not any((output / "cells" / cell.name).glob(CHECKPOINTS))
-        ]
-        if len(together) > 1:
-            text = json.dumps({"cells": [cell.name for cell in together]})
-            write_atomically(stack_directory / STACK_FILE, lambda file: file.write(text.encode()))
-    alone = [[cell] for cell in pending if cell not in together]
-    return [*alone, together] if together else alone
-
-
-def _train(
-    unit: Sequence[Cell],
-    output: Path,
-    stack_directory: Path,
-    track: str | None,
-    watch: SweepWatch | None,
-    stop: Callable[[], bool],
-) -> list[Result | UserError]:
-    plans = [cell.make_plan() for cell in unit]
-    directories = [output / "cells" / cell.name for cell in unit]
-    for directory in directories:
-        if not (directory / "config.json").exists():
-            (directory / RESULT_FILE).unlink(missing_ok=True)  # it has failed before it began
-    return execute(
-        plans,
-        directories,
-        checkpoints=stack_directory / "checkpoints" if len(unit) > 1 else None,
-        resume="where begun",
-        track=track,
-        watch=watch,
-        stop=stop,
-    )

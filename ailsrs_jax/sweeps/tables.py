@@ -1,7 +1,6 @@
-"""What a sweep leaves: a row for each cell, learning curves, and wall-clock times apart."""
+"""The rows of a sweep's tables: what was measured of each cell, and the tables made of all rows."""
 
 import csv
-import dataclasses
 import functools
 import io
 import json
@@ -22,136 +21,133 @@ from ailsrs_jax.files import read_json_object, write_atomically
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.loop import Result
-from ailsrs_jax.runs.storage.metrics import read_metrics, read_rows
+from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.results import DONE, NOT_RUN, CellResult
+from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table
+from ailsrs_jax.trainers.parts.settings import as_text
 
-RESULT_COLUMNS = tuple(field.name for field in dataclasses.fields(CellResult))
-CURVE_COLUMNS = (
-    *("cell", "iteration", "env_steps", "evaluation_return", "evaluation_length"),
-    *("expert_distance", "imitation_reward", "policy_score", "expert_score"),
-)
-TIMING_COLUMNS = (
-    *("cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"),
-)
-RESULT_FILE = "row.json"  # in a cell's directory, when it is finished or has failed
+ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
 
-TableRow = Mapping[str, Any]
+TableRow = Mapping[str, Any]  # values by column; None and missing ones become empty fields
 
 
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
-    """What ``results.csv`` says of a cell that is trained; its policy is evaluated here.
+    """Evaluate the policy that a cell has kept, and make its row of ``results.csv``.
 
-    Gymnasium's tasks have their own time limit. Where training had another, what it measured is of
-    other episodes than the expert's, and is left out.
+    Gymnasium's tasks have their own time limit. Columns that compare training with the expert are
+    empty if training had another limit.
+
+    Raises:
+        UserError: the policy's returns are not finite, or the metrics cannot be read.
     """
     config = result.config
-    metrics = read_metrics(directory / "metrics.csv")
-    returns, steps = metrics["evaluation_return"], metrics["env_steps"]
-    policy = result.policies[cell.seed]
     length = config.settings.episode_length
     if config.env_id in TASKS:
         physics, limit = "gymnasium", EPISODE_LENGTH
     else:
-        physics, limit = cell.decided_physics, length
-    evaluation = evaluate(policy, episodes, physics, episode_length=limit)
+        physics, limit = cell.spec.physics, length
+    evaluation = evaluate(result.policies[cell.seed], episodes, physics, episode_length=limit)
     if not np.isfinite(evaluation.returns).all():
         raise UserError("the kept policy's returns are not all finite")
-    expert = None if result.expert_returns is None else float(np.mean(result.expert_returns))
-    if expert is None:
+    if result.expert_returns is None:
         expert = shipped_expert_return(config.env_id, config.physics)
+    else:
+        expert = float(np.mean(result.expert_returns))
     random = random_return(config.env_id, physics, limit)
-    reached = np.flatnonzero(returns >= (np.inf if expert is None else ninety_percent(expert)))
-    measured = np.isfinite(returns)  # else the evaluation diverged
-    # Of an iteration's policy, for as many steps as the iteration takes.
-    weights = np.diff(steps, prepend=0)[measured]
-    same_limit = length == limit
-    normalized = None
-    if expert is not None and expert != random:
-        normalized = (evaluation.mean - random) / (expert - random)
-    return cell_columns(cell) | {
-        "iterations": len(steps),
-        "env_steps": int(steps[-1]),
+    row = cell_columns(cell) | {
         "kept_iteration": result.kept_iterations[cell.seed],
         "return_mean": evaluation.mean,
         "return_std": evaluation.std,
         "length_mean": float(evaluation.lengths.mean()),
-        "last_return": float(returns[-1]) if same_limit else None,
-        "mean_return_over_training": (
-            float(returns[measured] @ weights / weights.sum())
-            if same_limit and weights.any()
-            else None
-        ),
-        "steps_to_90": int(steps[reached[0]]) if same_limit and len(reached) else None,
         "expert_return": expert,
         "random_return": random,
-        "normalized": normalized,
+        "normalized": None,
         "status": DONE,
     }
+    if expert is not None and expert != random:
+        row["normalized"] = (evaluation.mean - random) / (expert - random)
+    metrics = read_metrics(directory / "metrics.csv")
+    return row | _over_training(metrics, expert, comparable=length == limit)
+
+
+def _over_training(
+    metrics: Mapping[str, np.ndarray], expert: float | None, *, comparable: bool
+) -> dict[str, Any]:
+    """Summarize the learning curve; returns only if they are ``comparable`` with the expert's."""
+    returns, steps = metrics["evaluation_return"], metrics["env_steps"]
+    row = dict.fromkeys(("last_return", "mean_return_over_training", "steps_to_90"))
+    row |= {"iterations": len(steps), "env_steps": int(steps[-1])}
+    if comparable:
+        row["last_return"] = float(returns[-1])
+        measured = np.isfinite(returns)  # the other evaluations diverged
+        # The return of an iteration counts for as many steps as the iteration takes.
+        weights = np.diff(steps, prepend=0)[measured]
+        if weights.any():
+            row["mean_return_over_training"] = float(returns[measured] @ weights / weights.sum())
+        reached = np.flatnonzero(returns >= (np.inf if expert is None else ninety_percent(expert)))
+        if len(reached):
+            row["steps_to_90"] = int(steps[reached[0]])
+    return row
 
 
 def failed_row(cell: Cell, reason: str) -> TableRow:
-    """What ``results.csv`` says of a cell that could not be trained."""
+    """Make the row of ``results.csv`` for a cell that has failed."""
     return cell_columns(cell) | {"status": f"failed: {' '.join(reason.split())}"}
 
 
 def cell_columns(cell: Cell) -> dict[str, Any]:
-    """What is known of a cell before it runs."""
-    return {
+    """Return the columns of ``results.csv`` that are known before a cell runs."""
+    spec = cell.spec
+    settings = (f"{name}={as_text(value)}" for name, value in spec.settings.items())
+    same = ("algorithm", "preset", "demonstrations", "num_trajectories", "subsample")
+    return {name: getattr(spec, name) for name in same} | {
         "cell": cell.name,
         "label": cell.label,
-        "algorithm": cell.algorithm,
-        "env_id": cell.env_id,
-        "preset": cell.preset,
-        "settings": ";".join(f"{name}={value}" for name, value in cell.settings.items()),
-        "demonstrations": cell.demonstrations,
-        "num_trajectories": cell.num_trajectories,
-        "subsample": cell.subsample,
+        "env_id": spec.env,
+        "settings": ";".join(settings),
         "seed": cell.seed,
         "physics": cell.engine,
     }
 
 
-def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow | None:
-    """What ``timings.csv`` says of a trained cell; None if not every iteration was timed."""
-    try:
-        times = read_metrics(directory / "seconds.csv")
-        seconds, compiling = times["seconds"], times["compile_seconds"]
-    except (UserError, KeyError):
-        return None
-    if len(seconds) != row["iterations"]:
-        return None
+def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
+    """Make the row of ``timings.csv`` for a finished cell.
+
+    Raises:
+        UserError: the times cannot be read.
+    """
+    times = read_metrics(directory / "seconds.csv")
     to_90 = None
     if row["steps_to_90"] is not None:
         steps = read_metrics(directory / "metrics.csv")["env_steps"]
-        reached = int(np.searchsorted(steps, row["steps_to_90"]))
-        to_90 = float(seconds[: reached + 1].sum())
+        reached = np.searchsorted(steps, row["steps_to_90"])
+        to_90 = float(times["seconds"][: reached + 1].sum())
     return {
         "cell": cell.name,
-        "train_seconds": float(seconds.sum()),
-        "compile_seconds": float(compiling.sum()),
+        "train_seconds": float(times["seconds"].sum()),
+        "compile_seconds": float(times["compile_seconds"].sum()),
         "seconds_to_90_percent": to_90,
         "hardware": hardware(),
     }
 
 
-def save_result(directory: Path, row: TableRow, timing: TableRow | None) -> None:
-    """Mark a cell as finished, or failed."""
+def save_row(directory: Path, row: TableRow, timing: TableRow | None) -> None:
+    """Record that a cell has finished or failed."""
     text = json.dumps({"row": row, "timing": timing}, indent=1)
-    write_atomically(directory / RESULT_FILE, lambda file: file.write(f"{text}\n".encode()))
+    write_atomically(directory / ROW_FILE, lambda file: file.write(f"{text}\n".encode()))
 
 
-def load_result(directory: Path) -> tuple[TableRow, TableRow | None] | None:
-    """The row of a cell and its times; None if it has not been finished.
+def load_row(directory: Path) -> tuple[TableRow, TableRow | None] | None:
+    """Read the rows of results and timings of a cell; None if it has not finished or failed.
 
     Raises:
         UserError: the file is damaged.
     """
-    path = directory / RESULT_FILE
+    path = directory / ROW_FILE
     if not os.path.lexists(path):
         return None
-    content = read_json_object(path, "the result of a cell; delete it to evaluate the cell again")
+    content = read_json_object(path, "the row of a cell; delete it to evaluate the cell again")
     row, timing = content.get("row"), content.get("timing")
     if (
         not (_is_flat(row) and isinstance(row.get("status"), str))
@@ -167,68 +163,57 @@ def _is_flat(row: Any) -> TypeGuard[TableRow]:
 
 
 def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
-    """Write the tables of what there is so far, in the order of ``cells``; the rows of results.
+    """Write the tables of all cells so far, in the order of ``cells``; return the result rows.
 
-    Several processes may share the directory: whoever is the last to write has seen what the others
-    have finished, because each looks again after it has written.
+    Several processes may share the directory. Each looks again after it has written, so the last
+    one to write has seen the rows of all others.
     """
     written = None
     while True:
-        found = [(cell, load_result(output / "cells" / cell.name)) for cell in cells]
-        # What is known of a cell is added, lest an earlier version's result lacks some of it.
-        results: list[tuple[TableRow, TableRow | None]] = [
-            ({**cell_columns(cell), **row}, timing)
-            for cell, result in found
-            for row, timing in [result or ({"status": NOT_RUN}, None)]
+        found = [load_row(output / "cells" / cell.name) for cell in cells]
+        rows: list[TableRow] = [
+            cell_columns(cell) | {"status": NOT_RUN} | dict(each[0] if each else {})
+            for cell, each in zip(cells, found, strict=True)
         ]
-        seen = json.dumps(results)  # NaN is not equal to itself
+        timings = [each[1] for each in found if each is not None and each[1] is not None]
+        seen = json.dumps([rows, timings])  # as text, because NaN is not equal to itself
         if seen == written:
-            return [row for row, _ in results]
-        rows = [row for row, _ in results]
-        _write_csv(output / "results.csv", RESULT_COLUMNS, rows)
-        _write_csv(output / "curves.csv", CURVE_COLUMNS, _curves(output, rows))
-        timings = [timing for _, timing in results if timing is not None]
-        _write_csv(output / "timings.csv", TIMING_COLUMNS, timings)
+            return rows
+        _write_csv(output / "results.csv", rows)
+        _write_csv(output / "curves.csv", _curves(output, rows))
+        _write_csv(output / "timings.csv", timings)
         written = seen
 
 
 def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
     for row in rows:
         if row["status"] == DONE:
-            path = output / "cells" / row["cell"] / "metrics.csv"
-            header, *lines = read_rows(path)
-            for number, line in enumerate(lines, start=2):
-                if len(line) != len(header):
-                    raise UserError(
-                        f"{path}: line {number} has {len(line)} of {len(header)} values"
-                    )
-                yield {"cell": row["cell"]} | dict(zip(header, line, strict=True))
+            for _, fields in read_table(output / "cells" / row["cell"] / "metrics.csv", ()):
+                yield {"cell": row["cell"]} | fields
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[TableRow]) -> None:
+def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        values = (row.get(column) for column in columns)
-        writer.writerow(["" if value is None else value for value in values])
+    writer = csv.DictWriter(text, COLUMNS[path.name], extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     write_atomically(path, lambda file: file.write(text.getvalue().encode()))
 
 
 def ninety_percent(expert_return: float) -> float:
-    """The return that counts as nine tenths of the expert's, which may be negative."""
+    """Return the threshold of 0.9 of an expert's return, which may be negative."""
     return expert_return - 0.1 * abs(expert_return)
 
 
 @functools.cache
 def random_return(env_id: str, physics: str, episode_length: int) -> float:
-    """Mean return of 100 episodes of uniformly random actions."""
+    """Compute the mean return of uniformly random actions."""
     return evaluate_random(env_id, physics=physics, episode_length=episode_length).mean
 
 
 @functools.cache
 def shipped_expert_return(env_id: str, engine: str) -> float | None:
-    """Mean return of the shipped expert's demonstrations, if one ships."""
+    """Compute the mean return of the shipped expert's demonstrations; None without an expert."""
     try:
         return float(expert_demonstrations(env_id, NUM_TRAJECTORIES, engine).returns.mean())
     except UserError:
@@ -236,7 +221,7 @@ def shipped_expert_return(env_id: str, engine: str) -> float | None:
 
 
 def hardware() -> str:
-    """What computes here, without the name of the machine."""
+    """Describe the devices or the processor, without the name of the machine."""
     device = jax.devices()[0]
     if device.platform != "cpu":
         return f"{jax.device_count()} x {device.device_kind}"
@@ -245,10 +230,10 @@ def hardware() -> str:
 
 
 def _processor() -> str:
-    """Its name, with what tells apart those that virtual machines give the same name."""
+    """Name the processor, with its model number because virtual machines hide the full name."""
     try:
         text = Path("/proc/cpuinfo").read_text()
         fields = dict(re.findall(r"(?m)^([a-z ]+?)\s*: (.+)$", text))
         return f"{fields['model name']} (family {fields['cpu family']}, model {fields['model']})"
-    except (OSError, KeyError):  # not Linux, or no x86
+    except (OSError, KeyError):  # not Linux, or not x86
         return platform.processor() or platform.machine()

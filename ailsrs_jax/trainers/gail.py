@@ -19,12 +19,13 @@ from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
     ActorParameters,
+    Carry,
+    Metrics,
     TrustRegionSettings,
     collect_and_improve,
     evaluate,
     gaussian_policy,
     make_actor_critic,
-    merge_states,
     over_updates,
     require_batches,
     with_evaluation,
@@ -39,8 +40,6 @@ from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 CLONING_BATCH_SIZE = 128
 CLONING_LEARNING_RATE = 3e-4
-
-Metrics = dict[str, jax.Array]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,16 +146,13 @@ class Gail(Trainer):
         def rewards(steps: Steps) -> jax.Array:
             return self.adversary.rewards(adversary, self._inputs(steps))
 
-        def improve_policy(
-            carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
-        ) -> tuple[tuple[ActorCritic, RunningEnvs], tuple[Metrics, jax.Array]]:
-            actor_critic, running, steps, metrics = collect_and_improve(
-                self.env, *carry, rewards, key, self.settings
+        def improve_policy(carry: Carry, key: jax.Array) -> tuple[Carry, tuple[Metrics, jax.Array]]:
+            merges = self.settings.standardize_with == "running"
+            carry, steps, metrics = collect_and_improve(
+                self.env, carry, rewards, key, self.settings, merges_states=merges
             )
-            if self.settings.standardize_with == "running":
-                actor_critic = merge_states(actor_critic, steps)
             metrics = metrics | {"imitation_reward": rewards(steps).mean()}
-            return (actor_critic, running), (metrics, self._inputs(steps))
+            return carry, (metrics, self._inputs(steps))
 
         (actor_critic, running), (metrics, inputs) = jax.lax.scan(
             improve_policy,

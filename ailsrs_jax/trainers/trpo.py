@@ -13,12 +13,13 @@ from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
+    Carry,
+    Metrics,
     TrustRegionSettings,
     collect_and_improve,
     evaluate,
     gaussian_policy,
     make_actor_critic,
-    merge_states,
     over_updates,
     require_batches,
     with_evaluation,
@@ -64,20 +65,18 @@ class Trpo(Trainer):
             iteration=jnp.zeros((), jnp.int32),
         )
 
-    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Evaluate the policy, then improve it a few times."""
         settings = self.settings
         key, evaluation_key, updates_key = jax.random.split(state.key, 3)
         policy = gaussian_policy(self.env, state.actor_critic)
         _, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
 
-        def improve_policy(
-            carry: tuple[ActorCritic, RunningEnvs], key: jax.Array
-        ) -> tuple[tuple[ActorCritic, RunningEnvs], dict[str, jax.Array]]:
-            actor_critic, running, steps, metrics = collect_and_improve(
-                self.env, *carry, lambda steps: steps.env_rewards, key, settings
+        def improve_policy(carry: Carry, key: jax.Array) -> tuple[Carry, Metrics]:
+            carry, _, metrics = collect_and_improve(
+                self.env, carry, lambda steps: steps.env_rewards, key, settings
             )
-            return (merge_states(actor_critic, steps), running), metrics
+            return carry, metrics
 
         (actor_critic, running), metrics = jax.lax.scan(
             improve_policy,

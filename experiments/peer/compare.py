@@ -1,27 +1,30 @@
-"""Time to 0.9 of the expert: our `ailsrs` and `gail` beside GAIL of the `imitation` package.
+"""Compare the time to 0.9 of the expert: our `ailsrs` and `gail`, and GAIL of `imitation`.
 
 usage: python experiments/peer/compare.py [ENV] [--seeds 0 1 2] [--systems NAME ...]
            [--demonstrations FILE] [--max-steps 2000000] [--output FILE.json]
        make peer                                       (installs .venv-peer first; ENV is hopper)
 
-All learn from one file, ten trajectories of the shipped expert unless another is given, until an
-evaluation of the unperturbed or deterministic policy (four episodes, of `ailsrs` sixteen) returns
-0.9 of their mean, or for so many environment steps, or, ours, for as many iterations as the task's
-preset has. `ailsrs` and `gail` are `ailsrs train` with the default preset, which starts from
-behaviour cloning; `gail-from-nothing` does not, nor do `imitation-benchmark` and
-`imitation-tutorial`, which are `imitation_gail.py`: see there for the two settings.
+All systems learn from one file; by default it has ten trajectories of the expert in the package. A
+run ends when an evaluation of the unperturbed or deterministic policy returns 0.9 of the mean
+return in the file. An evaluation has four episodes, sixteen for `ailsrs`. A run also ends after
+--max-steps environment steps, and one of ours after the iterations of the task's preset.
 
-How time is measured: each run is a process of its own, alone on the machine, seed after seed. Every
-system appends what it evaluates to a file, at which this process looks twenty times a second; the
-time is that from the start of the process to the line that reaches the target. So it has in it
-whatever a user waits for: Python's imports, loading the demonstrations, compilation (with an empty
-compilation cache), and, for ours, behaviour cloning and the evaluations. Of the peer's time, that
-of its evaluations is taken off, because it does them here only to be measured: at the end of the
-round in which 10,000 steps are full. Environment steps are those of training, and for ours of the
-evaluations too. The run is killed when it is there, so that nothing is said of what it would do
-afterwards. From demonstrations of a linear expert, our cloned start may be there already.
+Systems: `ailsrs` and `gail` are `ailsrs train` with the default preset, which starts from behaviour
+cloning. `gail-from-nothing` starts without it, and so do `imitation-benchmark` and
+`imitation-tutorial`; `imitation_gail.py` describes the settings of these two.
 
-Prints a table, and writes the runs with their curves to experiments/peer/ENV.json.
+How time is measured: each run is its own process, alone on the machine, one seed after the other.
+Every system appends its evaluations to a file, which this process reads twenty times a second. The
+time ends at the line that reaches the target. It starts with the process, so it includes everything
+that a user waits for: Python's imports, loading the demonstrations, compilation (with an empty
+compilation cache) and, for our systems, behaviour cloning and evaluations. The time of the peer's
+evaluations is subtracted, because the peer evaluates only for this measurement: at the end of the
+round in which it completes 10,000 steps. Environment steps are those of training and, for our
+systems, of evaluations. A run that reaches the target is killed, so the results do not show what it
+would do later. With demonstrations of a linear expert, our cloned start may reach the target at
+once.
+
+It prints a table and writes the runs with their curves to experiments/peer/ENV.json.
 """
 
 import argparse
@@ -56,16 +59,16 @@ LOOK_EVERY = 0.05  # seconds
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """What a system says of its policy."""
+    """One evaluation that a system reports."""
 
     env_steps: int
     return_mean: float
-    uncounted_seconds: float  # spent on this and earlier evaluations, where they are not counted
+    uncounted_seconds: float  # spent on all evaluations so far, if they are not counted
 
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """How one run went; its steps and seconds are those of the last evaluation."""
+    """The result of one run; its steps and seconds are those of the last evaluation."""
 
     system: str
     seed: int
@@ -78,7 +81,7 @@ class Run:
 def train(
     system: str, env_id: str, demonstrations: Path, seed: int, target: float, max_steps: int
 ) -> Run:
-    """Start the run, watch it until it is there, and end it."""
+    """Start the run, watch it until it reaches the target, and end it."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(directory / "compiled")}
@@ -126,10 +129,10 @@ def watch(
     target: float,
     max_steps: int,
 ) -> list[tuple[int, float, float]]:
-    """Steps, seconds and return of each evaluation, up to the one that ends the run."""
+    """Return steps, seconds and return of each evaluation, up to the one that ends the run."""
     curve: list[tuple[int, float, float]] = []
     while True:
-        running = process.poll() is None  # asked first, so that the last lines are not missed
+        running = process.poll() is None  # checked before reading, so that no last lines are missed
         seconds = time.perf_counter() - started
         text = file.read_text() if file.exists() else ""
         whole_lines = text[: text.rfind("\n") + 1]
@@ -144,7 +147,7 @@ def watch(
 
 
 def read_metrics(text: str) -> list[Evaluation]:
-    """Of our ``metrics.csv``."""
+    """Read the evaluations in our ``metrics.csv``."""
     return [
         Evaluation(int(row["env_steps"]), float(row["evaluation_return"]), 0.0)
         for row in csv.DictReader(text.splitlines())
@@ -152,7 +155,7 @@ def read_metrics(text: str) -> list[Evaluation]:
 
 
 def read_lines(text: str) -> list[Evaluation]:
-    """Of what ``imitation_gail.py`` prints."""
+    """Read the evaluations that ``imitation_gail.py`` prints."""
     rows = [json.loads(line) for line in text.splitlines()]
     return [
         Evaluation(row["env_steps"], row["return_mean"], row["evaluation_seconds"]) for row in rows
@@ -160,14 +163,14 @@ def read_lines(text: str) -> list[Evaluation]:
 
 
 def median(runs: Sequence[Run], quantity: str) -> tuple[float, bool]:
-    """The median, and whether it is known: otherwise, a lower bound, of what was spent."""
+    """Return the median, and whether it is known; if not, it is a lower bound."""
     to_target = statistics.median(getattr(r, quantity) if r.reached else math.inf for r in runs)
     spent = statistics.median(getattr(run, quantity) for run in runs)
     return (spent, False) if math.isinf(to_target) else (to_target, True)
 
 
 def print_table(runs: Sequence[Run]) -> None:
-    """A row per system; then ratios of medians, each of ours with each of the peer's."""
+    """Print one row for each system, and the ratios of the peer's medians to ours."""
     by_system = {run.system: [r for r in runs if r.system == run.system] for run in runs}
     medians = {
         system: {name: median(mine, name) for name in ("env_steps", "seconds")}
@@ -197,7 +200,7 @@ def print_table(runs: Sequence[Run]) -> None:
 
 
 def main() -> None:
-    """Run all, print the table, write the file."""
+    """Run all systems, print the table, and write the file."""
     parser = argparse.ArgumentParser()
     parser.add_argument("env", nargs="?", default="hopper")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
@@ -206,11 +209,11 @@ def main() -> None:
     parser.add_argument("--max-steps", type=int, default=2_000_000)
     parser.add_argument("--output", type=Path)
     arguments = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the run that is under way too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # also ends the current run
     env_id = resolve_env_id(arguments.env)
     output = arguments.output or HERE / f"{short_name(env_id)}.json"
     if not PEER_PYTHON.exists() and any(name.startswith("imit") for name in arguments.systems):
-        sys.exit("no .venv-peer: make peer makes it")
+        sys.exit("no .venv-peer: run make peer to install it")
 
     with tempfile.TemporaryDirectory() as directory:
         path = arguments.demonstrations and arguments.demonstrations.resolve()

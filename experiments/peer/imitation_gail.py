@@ -1,23 +1,23 @@
-"""GAIL of the `imitation` package (Stable-Baselines3's PPO) on one of our demonstration files.
+"""Run GAIL of the `imitation` package (Stable-Baselines3's PPO) on one of our demonstration files.
 
 usage: .venv-peer/bin/python experiments/peer/imitation_gail.py DEMONSTRATIONS.npz
            [--seed 0] [--target RETURN] [--max-steps 2000000] [--settings benchmark|tutorial]
 
-Run by the peer's own Python (`make peer` installs it from requirements.txt); it imports nothing of
-ours. It trains on the Gymnasium environment that the demonstrations name, and ends with the first
-evaluation that reaches the target, or after so many steps. An evaluation is four episodes of the
-deterministic policy in another environment, every EVALUATE_EVERY steps, and prints one line of
-JSON: steps in the training environments, seconds since the start without those of evaluations, the
-seconds that all evaluations so far took, and the mean return.
+It runs in the peer's own Python (`make peer` installs it from requirements.txt) and imports nothing
+from our package. It trains in the Gymnasium environment that the demonstrations name. It ends with
+the first evaluation that reaches the target, or after --max-steps. An evaluation happens every
+EVALUATE_EVERY steps and has four episodes of the deterministic policy in another environment. It
+prints one line of JSON: the steps in the training environments, the seconds since the start without
+those of evaluations, the seconds of all evaluations so far, and the mean return.
 
 Settings:
-  benchmark  the package's own tuned ones of the task (`imitation/scripts/config/tuned_hps`, read
-             from the installed package). They were tuned on seals' variants of the tasks, which
-             show the position and whose episodes never end early; here episodes end as Gymnasium's
-             do (`allow_variable_horizon`).
-  tutorial   those of its documentation's page "Train an Agent using Generative Adversarial
-             Imitation Learning", which are for CartPole.
-Both with eight environments, as its scripts and its documentation have.
+  benchmark  the settings that the package has tuned for the task
+             (`imitation/scripts/config/tuned_hps` in the installed package). They were tuned on the
+             variants of the tasks in seals. Those show the position, and their episodes never end
+             early. Here episodes end as in Gymnasium (`allow_variable_horizon`).
+  tutorial   the settings in its documentation, on the page "Train an Agent using Generative
+             Adversarial Imitation Learning". They are for CartPole.
+Both use eight environments, as its scripts and its documentation do.
 """
 
 import argparse
@@ -29,8 +29,8 @@ import time
 from typing import Any
 
 NUM_ENVS = 8
-NUM_THREADS = 1  # PyTorch's: networks this small gain nothing from more, and lose where others run
-EVALUATE_EVERY = 10_000  # steps; at the end of the round in which they are full
+NUM_THREADS = 1  # of PyTorch; more threads do not help networks this small
+EVALUATE_EVERY = 10_000  # steps; an evaluation follows the round that completes them
 NUM_EVALUATION_EPISODES = 4  # as many as in an iteration of our `gail`
 TASKS = {
     "Ant-v5": "ant",
@@ -61,7 +61,7 @@ TUTORIAL = {
 
 
 def find_settings(name: str, env_id: str) -> dict[str, Any]:
-    """The settings, in the form of the package's own files, with the classes that they name."""
+    """Return the settings in the form of the package's own files, with the classes they name."""
     if name == "tutorial":
         return TUTORIAL
     folder = importlib.resources.files("imitation") / "scripts/config/tuned_hps"
@@ -72,7 +72,7 @@ def find_settings(name: str, env_id: str) -> dict[str, Any]:
 
 
 def make_gail(demonstrations: dict[str, Any], settings: dict[str, Any], seed: int) -> Any:
-    """The trainer."""
+    """Return the trainer."""
     import numpy as np
     import torch
     from imitation.algorithms.adversarial.gail import GAIL
@@ -98,7 +98,8 @@ def make_gail(demonstrations: dict[str, Any], settings: dict[str, Any], seed: in
     )
     if settings["reward"]["normalize_output_layer"]:
         discriminator = NormalizedRewardNet(discriminator, networks.RunningNorm)
-    # Theirs hold one observation more than actions, ours as many: the last action is left out.
+    # Their trajectories have one more observation than actions, ours have as many of both. So the
+    # last action is left out.
     trajectories = [
         Trajectory(observations[:length], actions[: length - 1], infos=None, terminal=False)
         for observations, actions, length in zip(
@@ -111,13 +112,13 @@ def make_gail(demonstrations: dict[str, Any], settings: dict[str, Any], seed: in
         gen_algo=learner,
         reward_net=discriminator,
         allow_variable_horizon=True,
-        custom_logger=logger.configure(tempfile.mkdtemp(), ()),  # no time goes into tables
+        custom_logger=logger.configure(tempfile.mkdtemp(), ()),  # spend no time on tables
         **settings["algorithm_kwargs"],
     )
 
 
 def evaluate(learner: Any, env: Any) -> float:
-    """Mean return of the deterministic policy."""
+    """Return the mean return of the deterministic policy."""
     total = 0.0
     for _ in range(NUM_EVALUATION_EPISODES):
         observation, _ = env.reset()
@@ -131,7 +132,7 @@ def evaluate(learner: Any, env: Any) -> float:
 
 
 def main() -> None:
-    """Train, and print a line per evaluation."""
+    """Train, and print one line for each evaluation."""
     started = time.perf_counter()
     parser = argparse.ArgumentParser()
     parser.add_argument("demonstrations")
@@ -141,7 +142,7 @@ def main() -> None:
     parser.add_argument("--settings", choices=("benchmark", "tutorial"), default="benchmark")
     arguments = parser.parse_args()
 
-    # Here and not at the top, because a user waits for them too.
+    # These imports are here so that the clock includes them: a user waits for them, too.
     import gymnasium
     import numpy as np
 

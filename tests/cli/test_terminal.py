@@ -8,12 +8,13 @@ import select
 import shlex
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import pytest
 
-from ailsrs_jax.cli import console as terminal
 from ailsrs_jax.cli import main as cli
+from ailsrs_jax.cli import terminal
 from tests.cli.test_cli import ailsrs
 
 SEARCH = "num_directions=4 num_top_directions=2 episode_length=20"
@@ -48,17 +49,18 @@ def test_a_mistyped_option_is_told_the_nearest(monkeypatch, capsys) -> None:
 def test_every_command_explains_itself(name: str, monkeypatch, capsys) -> None:
     command = cli.COMMANDS[name]
     assert f"Example: ailsrs {name} " in inspect.getdoc(command)
-    assert {"quiet", "as_json"} <= inspect.signature(command).parameters.keys()
     monkeypatch.setenv("COLUMNS", "60")
     assert ailsrs(monkeypatch, name, "--help") == 0
     text = capsys.readouterr().out
     assert "\x1b" not in text
     assert "None" not in text
     options = text[text.index("--help") :]
+    assert {"--quiet", "--json"} <= set(options.split())
     assert max(map(len, options.splitlines())) <= 60
-    explained = {"env", "envs", "quiet", "as_json"}  # where their types are
-    for argument in inspect.signature(command).parameters.keys() - explained:
-        assert re.search(rf"^    {argument}: \S", inspect.getdoc(command), re.MULTILINE), argument
+    for argument, kind in typing.get_type_hints(command, include_extras=True).items():
+        shared = any(getattr(note, "help", None) for note in getattr(kind, "__metadata__", ()))
+        documented = re.search(rf"^    {argument}: \S", inspect.getdoc(command), re.MULTILINE)
+        assert shared or documented or argument in ("terminal", "return"), argument
 
 
 def test_the_command_is_written_as_a_shell_reads_it(monkeypatch) -> None:
@@ -70,7 +72,8 @@ def test_the_command_is_written_as_a_shell_reads_it(monkeypatch) -> None:
 
 
 def test_json_has_no_nan(capsys) -> None:
-    terminal.print_json({"a": [float("nan"), 1.5], "b": {"c": float("-inf")}, "d": (1, None)})
+    fields = {"a": [float("nan"), 1.5], "b": {"c": float("-inf")}, "d": (1, None)}
+    terminal.Terminal(as_json=True).json(fields)
     assert "".join(capsys.readouterr().out.split()) == (
         '{"a":[null,1.5],"b":{"c":null},"d":[1,null]}'
     )
@@ -110,7 +113,7 @@ def test_interrupted_in_a_narrow_terminal_and_resumed_by_what_it_says(in_tmp_pat
     ]
     assert any(re.match(r"\d+/100000  return", part) for part in drawn)
     assert max(len(part) for part in drawn if "/100000  return" in part) <= 40
-    at = next(index for index, line in enumerate(lines) if line.endswith("saved; go on with:"))
+    at = next(index for index, line in enumerate(lines) if line.endswith("saved; continue with:"))
     words = shlex.split(lines[at + 1])
     assert words == [*command, "--output", "it's here", "--resume"]
     before = (Path("it's here") / "metrics.csv").read_bytes()

@@ -1,5 +1,6 @@
-"""One name for demonstrations, wherever they are."""
+"""Sources of demonstrations."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     demonstrations, source = open_source(directory, "Swimmer-v5")
     assert demonstrations.num_trajectories == 2
     assert source == Source("imitation", str(directory), num_left_out=1)
-    assert str(source) == f"{directory} (1 truncated episodes left out)"
+    assert str(source) == f"{directory} (1 truncated episode left out)"
     assert open_source(str(directory), "Swimmer-v5", 1)[1] == Source("imitation", str(directory))
 
 
@@ -74,6 +75,13 @@ def test_the_argument_names_the_source() -> None:
     assert Source("minari", "mujoco/hopper/expert-v0").argument == "minari:mujoco/hopper/expert-v0"
     assert Source("file", "mine.npz").argument == "mine.npz"
     assert Source("memory").argument is None
+
+
+@pytest.mark.parametrize(
+    "source", [Source("expert"), Source("expert", "paper"), Source("memory"), Source("file", "a")]
+)
+def test_a_source_is_read_as_it_was_written(source: Source) -> None:
+    assert parse_source(dataclasses.asdict(source), "config.json") == source
 
 
 @pytest.mark.parametrize(

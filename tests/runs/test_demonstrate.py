@@ -1,4 +1,4 @@
-"""What a recording holds beside the demonstrations."""
+"""Recordings of a policy, with noise and with the final observations."""
 
 import jax
 import numpy as np

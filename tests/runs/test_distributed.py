@@ -1,4 +1,4 @@
-"""One run on two processes, which find one another as the tasks of a SLURM job do."""
+"""One run in two processes, which connect to each other as the tasks of a SLURM job do."""
 
 import os
 import random
@@ -48,7 +48,7 @@ def start_two(
 
 
 def check_resuming(output: Path, job: dict[str, str]) -> None:
-    """Both go on from the same checkpoint; what only one of them meets ends both."""
+    """Both processes resume from the same checkpoint, and an error in one ends both."""
     whole = (output / "metrics.csv").read_bytes()
     damaged = output / "checkpoints" / "2" / "about" / "metadata"
     damaged.write_bytes(b"x" + damaged.read_bytes()[1:])

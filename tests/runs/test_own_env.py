@@ -31,7 +31,7 @@ def spring() -> ail.SavedPolicy:
 
 
 def there_and_back(env: Any, env_id: str, physics: str, output: Path) -> None:
-    """All steps that docs/own_task.md shows, each of them tiny."""
+    """Take all steps of docs/own_task.md, each with tiny settings."""
     path = output / "expert.npz"
     expert = ail.train_expert(env, algorithm="ars", seed=1, output=path, **SEARCH)
     assert ail.load_policy(output / "expert.npz").env_id == expert.env_id == env_id

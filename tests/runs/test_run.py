@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.runs import toy_run
 
 SETTINGS = {
@@ -57,36 +59,43 @@ def make_plan(**changes: Any) -> Plan:
     return plan(RunSpec(**(fields | changes)))
 
 
+def toy_plan(**settings: Any) -> Plan:
+    """A run of AILSRS on the point mass and one device, which compiles fast."""
+    made = toy_run.plan(12, "ailsrs", **settings)
+    return dataclasses.replace(made, simulator=Simulator(made.simulator.env))
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     directory = tmp_path_factory.mktemp("run") / "whole"
-    return directory, toy_run.run(make_plan(), directory)
+    return directory, toy_run.run(toy_plan(), directory)
+
+
+def read_rows(directory: Path) -> list[dict[str, str]]:
+    with (directory / "metrics.csv").open() as file:
+        return list(csv.DictReader(file))
 
 
 def test_directory_holds_what_is_promised(finished: tuple[Path, Result]) -> None:
     directory, result = finished
     config = json.loads((directory / "config.json").read_text())
-    assert config["env_id"] == "Swimmer-v5"
+    assert config["env_id"] == "PointMass"
     assert config["seeds"] == [0, 5]
-    assert config["settings"]["num_directions"] == 2
+    assert config["settings"]["num_directions"] == 4
     assert config["versions"]["jax"] == jax.__version__
+    assert config["source"] == {"kind": "memory", "name": None, "num_left_out": 0}
 
-    with (directory / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(directory)
     assert [(row["iteration"], row["seed"]) for row in rows] == [
         (str(iteration), seed) for iteration in range(12) for seed in ("0", "5")
-    ]
-    # 2N perturbed and the evaluation episodes, all of full length on the swimmer.
-    episodes = 2 * 2 + make_plan().config.settings.num_evaluation_episodes
-    assert [int(row["env_steps"]) for row in rows[::2]] == [
-        10 * episodes * iteration for iteration in range(1, 13)
     ]
     for seed, policy in result.policies.items():
         saved = load_policy(directory / f"seed_{seed}" / "policy.npz")
         np.testing.assert_array_equal(saved.weights, policy.weights)
         distances = [float(r["expert_distance"]) for r in rows if r["seed"] == str(seed)]
         assert result.kept_iterations[seed] == int(np.argmin(distances))
-    assert result.expert_returns.tolist() == [1.0, 2.0]
+    assert result.expert_returns is not None
+    assert result.expert_returns.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_interrupted_and_resumed_is_bitwise_the_same(
@@ -98,30 +107,41 @@ def test_interrupted_and_resumed_is_bitwise_the_same(
         pass
 
     def kill(report: IterationReport) -> None:
-        assert load_policy(interrupted / "seed_5" / "policy.npz").env_id == "Swimmer-v5"
-        if report.iteration == 10:  # one past the checkpoint: its row has to go again
+        assert load_policy(interrupted / "seed_5" / "policy.npz").env_id == "PointMass"
+        if report.iteration == 10:  # after the checkpoint, so its row has to be dropped
             raise KilledError
 
     interrupted = tmp_path / "interrupted"
     with pytest.raises(KilledError):
-        toy_run.run(make_plan(), interrupted, watch=kill)
-    resumed = toy_run.run(make_plan(), interrupted, resume=True)
+        toy_run.run(toy_plan(), interrupted, watch=kill)
+    assert not json.loads((interrupted / "result.json").read_text())["finished"]
+    assert len((interrupted / "seconds.csv").read_text().splitlines()) == 1 + 11
+    resumed = toy_run.run(toy_plan(), interrupted, resume=True)
     assert (interrupted / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
+    assert len((interrupted / "seconds.csv").read_text().splitlines()) == 1 + 12
     for seed, policy in result.policies.items():
         np.testing.assert_array_equal(resumed.policies[seed].weights, policy.weights)
         np.testing.assert_array_equal(resumed.policies[seed].mean, policy.mean)
     assert resumed.kept_iterations == result.kept_iterations
+    before, after = (
+        json.loads((run / "result.json").read_text()) for run in (directory, interrupted)
+    )
+    assert before | {"seconds": 0} == after | {"seconds": 0}
 
 
-def test_the_same_command_gives_the_same_bits(
-    finished: tuple[Path, Result], tmp_path: Path
-) -> None:
-    """Compiled anew, and on the C engine, whose threads take simulations as they come."""
-    directory, _ = finished
-    toy_run.run(make_plan(), tmp_path / "again")
+def test_the_same_command_gives_the_same_bits(tmp_path: Path) -> None:
+    """Also with the C engine, whose threads simulate in any order, and when compiled again."""
+    made = make_plan(settings=SETTINGS | {"num_iterations": 2})
+    for name in ("once", "again"):
+        toy_run.run(made, tmp_path / name)
     names = ("metrics.csv", "config.json", "seed_0/policy.npz", "seed_5/policy.npz")
     for name in names:
-        assert (tmp_path / "again" / name).read_bytes() == (directory / name).read_bytes(), name
+        once, again = ((tmp_path / run / name).read_bytes() for run in ("once", "again"))
+        assert once == again, name
+    # 2N perturbed episodes and the evaluation episodes; the swimmer's never end early.
+    episodes = 2 * 2 + made.config.settings.num_evaluation_episodes
+    steps = [int(row["env_steps"]) for row in read_rows(tmp_path / "once")[::2]]
+    assert steps == [10 * episodes, 2 * 10 * episodes]
 
 
 def test_resuming_a_finished_run_changes_nothing(
@@ -130,8 +150,9 @@ def test_resuming_a_finished_run_changes_nothing(
     directory, result = finished
     copy = tmp_path / "copy"
     shutil.copytree(directory, copy)
-    again = toy_run.run(make_plan(), copy, resume=True)
-    assert (copy / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
+    again = toy_run.run(toy_plan(), copy, resume=True)
+    for name in ("metrics.csv", "seconds.csv"):
+        assert (copy / name).read_bytes() == (directory / name).read_bytes()
     np.testing.assert_array_equal(again.policies[5].weights, result.policies[5].weights)
 
 
@@ -140,14 +161,14 @@ def test_another_run_is_never_overwritten_or_continued(
 ) -> None:
     directory, _ = finished
     with pytest.raises(UserError, match="not empty: add --resume"):
-        toy_run.run(make_plan(), directory)
-    changed = make_plan(settings=SETTINGS | {"noise_std": 0.5})
+        toy_run.run(toy_plan(), directory)
+    changed = toy_plan(noise_std=0.5)
     with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
         toy_run.run(changed, directory, resume=True)
     with pytest.raises(UserError, match="resume needs output"):
-        toy_run.run(make_plan(), resume=True)
+        toy_run.run(toy_plan(), resume=True)
     with pytest.raises(UserError, match="nothing to resume"):
-        toy_run.run(make_plan(), tmp_path / "nowhere", resume=True)
+        toy_run.run(toy_plan(), tmp_path / "nowhere", resume=True)
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe"])
@@ -155,7 +176,7 @@ def test_a_lock_that_is_something_else_is_left_alone(kind: str, tmp_path: Path) 
     precious, lock = tmp_path / "precious", tmp_path / "run" / ".lock"
     precious.write_text("all I have")
     lock.parent.mkdir()
-    config = make_plan().config
+    config = toy_plan().config
     if kind == "link":
         lock.symlink_to(precious)
         with (
@@ -181,9 +202,9 @@ def test_other_versions_and_lost_rows_are_refused(
     with pytest.raises(
         UserError, match=r"versions\.jax is '.*', was '0\.1\.2'; install those versions, or edit"
     ):
-        toy_run.run(make_plan(), copy, resume=True)
+        toy_run.run(toy_plan(), copy, resume=True)
 
-    changed = make_plan(settings=SETTINGS | {"noise_std": 0.5})
+    changed = toy_plan(noise_std=0.5)
     changed.config.save(copy / "config.json")
     with pytest.raises(UserError, match=r"settings\.noise_std is 0\.5, was"):
         toy_run.run(changed, copy, resume=True)  # the checkpoints are of another run
@@ -193,7 +214,7 @@ def test_other_versions_and_lost_rows_are_refused(
     for damaged in (rows[:7] + rows[8:], rows[:-1], rows[:8] + rows[7:], [rows[0][:30], *rows[1:]]):
         (copy / "metrics.csv").write_text("".join(damaged))
         with pytest.raises(UserError, match="lacks rows of the 12 iterations done"):
-            toy_run.run(make_plan(), copy, resume=True)
+            toy_run.run(toy_plan(), copy, resume=True)
 
 
 def test_checkpoints_hold_random_keys_and_large_counts(tmp_path: Path) -> None:
@@ -270,7 +291,7 @@ def test_demonstrations_in_memory_are_checked_like_files() -> None:
     with pytest.raises(UserError, match="handed in: actions hold NaN"):
         make_plan(demonstrations=broken)
     padded = swimmer_demonstrations().replace(lengths=np.array([10, 4, 10]))
-    padded.observations[1, 4:] = np.nan  # after the end: means nothing
+    padded.observations[1, 4:] = np.nan  # after the episode's end, where values are ignored
     assert np.isfinite(make_plan(demonstrations=padded).demonstrations.observations).all()
 
 

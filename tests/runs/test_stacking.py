@@ -1,4 +1,4 @@
-"""Runs that are stacked are those alone, to rounding; what is random in them, bit for bit."""
+"""Stacked runs equal the runs alone up to rounding, and draw the same random numbers."""
 
 import csv
 import dataclasses
@@ -22,10 +22,10 @@ from tests.runs import toy_run
 from tests.runs.storage.test_tracking import require_events
 from tests.trainers.test_algorithms import TINY
 
-# More steps of either would make much of a little rounding.
+# With more steps, small rounding differences would grow large.
 FEW_STEPS = {"conjugate_gradient_steps": 1, "behavior_cloning_steps": 5}
 
-# What differs among the runs of a stack, beside their seeds.
+# The settings that differ among the runs of a stack; their seeds differ too.
 CHANGES: dict[str, list[dict[str, Any]]] = {
     "ailsrs": [
         {"num_trajectories": 8, "step_size": 0.05, "noise_std": 0.1},
@@ -65,7 +65,7 @@ def plans(env: PointMass, expert: Demonstrations, algorithm: str) -> list[Plan]:
 
 
 def execute_stack(cells: list[Plan], outputs: list[Path], stack: Path, **options: Any) -> list[Any]:
-    """Train the cells together, or go on with them."""
+    """Train the cells together, or resume them."""
     return execute(cells, outputs, checkpoints=stack, resume="where begun", **options)
 
 
@@ -164,7 +164,7 @@ def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -
             alone.append(str(error))
     assert 0 < alone.count("done") < 4
     assert outcomes() == alone
-    assert outcomes() == alone  # although nothing is trained any more
+    assert outcomes() == alone  # a second call trains nothing
 
 
 def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:

@@ -1,7 +1,7 @@
-"""A run in a process of its own, to be killed.
+"""A small run in its own process, for tests that kill it.
 
-``python -m tests.runs.toy_run OUTPUT ITERATIONS CHECKPOINT_EVERY ALGORITHM`` goes on where there is
-something to go on from, and stops as the command line does.
+``python -m tests.runs.toy_run OUTPUT ITERATIONS CHECKPOINT_EVERY ALGORITHM`` resumes if there is a
+run in OUTPUT, and handles signals as the command line does.
 """
 
 import sys
@@ -29,7 +29,7 @@ ADVERSARY = {
 SEEDS = (0, 5)
 
 
-def plan(num_iterations: int, algorithm: str) -> Plan:
+def plan(num_iterations: int, algorithm: str, **changes: Any) -> Plan:
     rng = np.random.default_rng(0)
     demonstrations = Demonstrations(
         observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
@@ -46,7 +46,7 @@ def plan(num_iterations: int, algorithm: str) -> Plan:
         demonstrations if algorithm == "ailsrs" else None,
         algorithm=algorithm,
         seeds=SEEDS,
-        settings=settings,
+        settings=settings | changes,
     )
     return make_plan(spec)
 

@@ -1,4 +1,4 @@
-"""Policies taken away, and what their model cards say."""
+"""Exported policies, and their model cards."""
 
 import dataclasses
 import json
@@ -20,13 +20,13 @@ from tests.runs.test_own_env import spring
 
 
 def header(card: str) -> dict:
-    """What the Hugging Face Hub reads."""
+    """Return the metadata that the Hugging Face Hub reads."""
     yaml = pytest.importorskip("yaml")
     return yaml.safe_load(card.split("---\n")[1])
 
 
 def run_blocks(card: str) -> dict:
-    """The names that the card's Python leaves, one block after the other."""
+    """Run the card's blocks of Python in order, and return the names that they define."""
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", card, re.DOTALL):
         exec(block, names)
@@ -34,7 +34,7 @@ def run_blocks(card: str) -> dict:
 
 
 def make_run(policy: ail.SavedPolicy, **changes: object) -> dict:
-    """A directory as a run leaves it: the configuration, with changes, and one of its policies."""
+    """Write a run directory with one policy, and return its changed configuration."""
     settings = ail.preset_settings("Swimmer-v5", "tuned")
     config = RunConfig(
         env_id="Swimmer-v5",
@@ -72,7 +72,7 @@ def linear_policy() -> ail.SavedPolicy:
 
 
 def exported(changes: dict[str, object]) -> str:
-    """The card of a run with such a configuration."""
+    """Export a run with a changed configuration, and return its card."""
     make_run(linear_policy(), **changes)
     ail.export("run", "out", num_episodes=1)
     return Path("out/README.md").read_text()
@@ -109,21 +109,21 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert result["dataset"] == {"type": "Swimmer-v5", "name": "Swimmer-v5"}
     assert result["metrics"][0]["value"] == f"{evaluation.mean:.2f} +/- {evaluation.std:.2f}"
 
-    # An export is evaluated as a run is, and goes nowhere where something is.
+    # An export is evaluated like a run, and does not overwrite anything.
     assert ailsrs(monkeypatch, "evaluate", "out", "--episodes", 2, "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)["policies"]
     assert row["return_mean"] == evaluation.mean
     assert ailsrs(monkeypatch, "export", "run", "--output", "out") == 2
     assert "out is not empty: choose another --output" in capsys.readouterr().err
 
-    # A program is told where it is, and what it is worth.
+    # With --json, the command prints the output and the return.
     assert ailsrs(monkeypatch, "export", "run", "--output", "other", *arguments[3:5], "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["output"], told["return_mean"]) == ("other", evaluation.mean)
     assert ailsrs(monkeypatch, "export", "run", "--output", "policy.onnx", "--json") == 0
     assert json.loads(capsys.readouterr().out) == {"policy": "run", "output": "policy.onnx"}
 
-    # What the card tells to do works, and is the same policy.
+    # The card's programs run, and give the policy's actions.
     monkeypatch.chdir("out")
     left = run_blocks(card)
     expected = policy(np.zeros(8))
@@ -273,9 +273,11 @@ def test_mistakes_are_one_line_and_nothing_is_written(in_tmp_path: Path, monkeyp
             call()
         assert message in str(caught.value)
         assert "\n" not in str(caught.value)
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ail.UserError, match=r"pip install 'ailsrs_jax\[export\]'"):
-        ail.export(expert, "out")
+    for package in ("huggingface_hub", "onnx"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, package, None)  # not installed
+            with pytest.raises(ail.UserError, match=r"pip install 'ailsrs_jax\[export\]'"):
+                ail.export(expert, "out")
     assert sorted(Path().rglob("*")) == before
 
 

@@ -1,13 +1,14 @@
-import builtins
 import hashlib
+import sys
 from pathlib import Path
 
 import matplotlib.image
 import pytest
 from matplotlib.figure import Figure
 
-from ailsrs_jax.show.figures import _draw_levels
-from ailsrs_jax.show.sweep_report import report_sweep
+from ailsrs_jax.show.figures import draw_figures, draw_levels
+from ailsrs_jax.show.sweep_report import report_sweep, results_table
+from ailsrs_jax.sweeps.results import read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from tests.sweeps.synthetic_sweep import cells, row, write_sweep
 
@@ -73,19 +74,18 @@ def test_nothing_done_is_only_a_table(tmp_path: Path) -> None:
 
 def test_returns_without_an_expert_are_still_reported(tmp_path: Path) -> None:
     rows = [row(0.5, num_trajectories="", expert_return="", normalized="", steps_to_90="")]
-    report_sweep(write_sweep(tmp_path, rows))
-    table = (tmp_path / "table.md").read_text()
+    results = read_results(write_sweep(tmp_path, rows))
+    table = results_table(results)
     assert "| AILSRS | – | 1 of 1 | 1629 | – | – | 1629 | – | – (0 of 1) |" in table
     assert "Interquartile" not in table
-    drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert drawn == {"figure_3_ailsrs"}
+    assert draw_figures(results).keys() == {"figure_3_ailsrs"}
 
 
 def test_a_series_without_an_expert_does_not_decide_what_is_compared(tmp_path: Path) -> None:
     rows = [row(0.5), row(0.7, label="BC")]
     rows.append(row(0.5, label="ARS", env_id="Swimmer-v5", num_trajectories="", normalized=""))
-    report_sweep(write_sweep(tmp_path, rows))
-    assert "Interquartile means over 1 condition\n" in (tmp_path / "table.md").read_text()
+    results = read_results(write_sweep(tmp_path, rows))
+    assert "Interquartile means over 1 condition\n" in results_table(results)
 
 
 def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> None:
@@ -96,8 +96,7 @@ def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> No
         for number, score in scores.items()
         for seed in range(3)
     ]
-    report_sweep(write_sweep(tmp_path, rows))
-    assert (tmp_path / "figures" / "scores.png").exists()
+    assert "scores" in draw_figures(read_results(write_sweep(tmp_path, rows)))
 
 
 def test_each_source_of_demonstrations_has_an_expert() -> None:
@@ -113,28 +112,20 @@ def test_each_source_of_demonstrations_has_an_expert() -> None:
         for number in (10, 40)
     ]
     axes = Figure().subplots()
-    _draw_levels(axes, group_cells(cells(*table)))
+    draw_levels(axes, group_cells(cells(*table)))
     drawn = [line.get_ydata().tolist() for line in axes.lines if line.get_label() == "expert"]
     assert drawn == [[3240, 3240], [1021, 1021]]
 
 
 def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> None:
-    report_sweep(write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")]))
-    drawn = {path.stem for path in (tmp_path / "figures").glob("figure_3*")}
-    assert drawn == {"figure_3_x_1", "figure_3_x_1_2"}
+    write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")])
+    assert {"figure_3_x_1", "figure_3_x_1_2"} <= draw_figures(read_results(tmp_path)).keys()
 
 
 def test_without_matplotlib_there_are_tables_and_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ordinary_import = builtins.__import__
-
-    def without(name: str, *arguments: object, **options: object) -> object:
-        if name == "ailsrs_jax.show.figures":
-            raise ImportError
-        return ordinary_import(name, *arguments, **options)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "ailsrs_jax.show.figures", None)
     report_sweep(write_sweep(tmp_path, [row(0.9)]))
     assert capsys.readouterr().err == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
     assert (tmp_path / "table.md").exists()

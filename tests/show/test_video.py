@@ -162,7 +162,7 @@ def test_without_a_renderer_one_line_says_what_to_install(
 def test_mistakes(slider: Slider, tmp_path: Path) -> None:
     swimmer, hopper = (load_policy(expert_path(name)) for name in ("Swimmer-v5", "Hopper-v5"))
     calls: dict[str, Callable[[], object]] = {
-        "the name has to end in .mp4 or .html": lambda: ail.render(swimmer, tmp_path / "a.gif"),
+        "the name must end in .mp4 or .html": lambda: ail.render(swimmer, tmp_path / "a.gif"),
         "the expert is of Hopper-v5, the policy of Swimmer-v5": lambda: ail.render(
             swimmer, tmp_path / "a.html", expert=hopper
         ),

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
 
+import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
-from tests.sweeps.toy_sweep import POINT_MASS
+from tests.sweeps.toy_sweep import POINT_MASS, two_cells
 
 
 @pytest.fixture
@@ -15,6 +17,13 @@ def demonstrations(in_tmp_path: Path, point_mass_expert: Demonstrations) -> str:
     """A file with demonstrations of the point mass, in the current directory."""
     save_demonstrations(point_mass_expert.replace(env_id=POINT_MASS), "point_mass.npz")
     return "point_mass.npz"
+
+
+@pytest.fixture(scope="session")
+def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
+    """A sweep of ``two_cells``, trained one after the other: its directory and its rows."""
+    directory = tmp_path_factory.mktemp("sweep") / "whole"
+    return directory, ail.sweep(two_cells(), directory, max_parallel=1)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,4 +1,4 @@
-"""The tables that a sweep leaves, filled with made-up numbers."""
+"""The tables of a sweep, filled with made-up numbers."""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -16,6 +16,7 @@ TASKS = {  # random and expert return
     "Swimmer-v5": (0.5, 357.0),
 }
 HARD_TASKS = {"Ant-v5": (-50.0, 6000.0), "Humanoid-v5": (120.0, 7000.0)}
+# Written out, because committed results have these columns.
 COLUMNS = (
     *("cell", "label", "algorithm", "env_id", "preset", "settings"),
     *("demonstrations", "num_trajectories", "subsample", "seed"),
@@ -41,9 +42,10 @@ def row(
     seed: int = 0,
     **changes: Any,
 ) -> dict[str, Any]:
-    """A cell whose kept policy has the normalised ``score``; ``changes`` are of its columns.
+    """Make the row of a cell whose kept policy has the normalized ``score``.
 
-    Besides columns it may have ``seconds``, its wall-clock time to 90 %, and ``curve``, normalised.
+    ``changes`` replace columns. They may also set ``seconds``, the wall-clock time to 90 %, and
+    ``curve``, a normalized learning curve.
     """
     random, expert = (TASKS | HARD_TASKS)[env_id]
     expert = changes.get("expert_return") or expert
@@ -78,7 +80,7 @@ def row(
 
 
 def cells(*rows: dict[str, Any]) -> list[CellResult]:
-    """Rows as they are read."""
+    """Convert rows to what ``read_results`` returns."""
     return [
         CellResult(**{**values, "num_trajectories": values["num_trajectories"] or None})
         for values in rows
@@ -86,7 +88,7 @@ def cells(*rows: dict[str, Any]) -> list[CellResult]:
 
 
 def curve(cell: dict[str, Any], generator: np.random.Generator) -> list[dict[str, Any]]:
-    """The learning curve ``cell["curve"]``, or one that ends about where the kept policy is."""
+    """Make the learning curve ``cell["curve"]``, or one that ends near the kept policy's return."""
     length = cell["iterations"]
     at = np.arange(length)
     if "curve" in cell:

@@ -1,4 +1,4 @@
-"""Sweeps in processes of their own: killed at random moments, and on Ray."""
+"""Sweeps in separate processes, which are killed at random moments, and sweeps on Ray."""
 
 import contextlib
 import os
@@ -74,7 +74,10 @@ def tables(directory: str) -> list[bytes]:
 def test_killed_ten_times_it_ends_with_the_same_tables(spec: str, max_parallel: str) -> None:
     arguments = (spec, "--max-parallel", max_parallel)
     duration = 0.0
-    for output in ("whole", "again"):  # the second finds its programs compiled, as all others will
+    for output in (
+        "whole",
+        "again",
+    ):  # from the second run on, programs are cached
         started = time.monotonic()
         finish(start(*arguments, "--output", output))
         duration = time.monotonic() - started
@@ -108,20 +111,20 @@ def test_shards_in_one_directory_at_the_same_time(spec: str) -> None:
 
 
 def ray_worker() -> int:
-    """The process of a worker that trains in this directory."""
+    """Return the process id of the worker that trains in this directory."""
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             command = (process / "cmdline").read_text()
             if command.startswith("ray::run_unit") and (process / "cwd").readlink() == Path.cwd():
                 return int(process.name)
-    raise AssertionError("there is none")
+    raise AssertionError("there is no worker")
 
 
 def test_on_ray(spec: str) -> None:
     pytest.importorskip("ray")
     finish(start(spec, "--output", "whole"))
     on_ray = start(spec, "--output", "ray", "--launcher", "ray")
-    # As soon as a worker trains, it is lost.
+    # The worker is killed as soon as it trains.
     while not list(Path("ray").glob("cells/*/metrics.csv")):
         assert on_ray.poll() is None, on_ray.communicate()
         time.sleep(0.1)

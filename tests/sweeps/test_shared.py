@@ -1,5 +1,6 @@
-"""A sweep that several processes train: in parts, merged, and at the same time."""
+"""Sweeps that several processes train: shards, merging, and one directory for all."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,13 @@ from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.sweeps.merge import merge_sweeps
 from ailsrs_jax.sweeps.spec import expand
 from ailsrs_jax.sweeps.sweep import choose_units, run_units
-from ailsrs_jax.sweeps.tables import failed_row, save_result
-from tests.sweeps.toy_sweep import Watch, grid, quick_grid
+from ailsrs_jax.sweeps.tables import failed_row, save_row
+from tests.sweeps.toy_sweep import Watch, quick_grid, two_cells
 
 
-def test_shards_are_the_whole(demonstrations: str) -> None:
-    spec = grid(demonstrations, seeds=[0, 1, 2, 3], num_trajectories=[2, 8])
-    cells = expand(spec)
+def test_shards_are_the_whole(in_tmp_path: Path, one_by_one: tuple[Path, list[Any]]) -> None:
+    settings = {"noise_std": [0.1, 0.2]}
+    cells = expand(quick_grid(seeds=[0, 1, 2, 3], settings=settings))
     whole = choose_units(cells, (0, 1), 3)
     assert [len(unit) for unit in whole] == [3, 3, 2]
     shards = [choose_units(cells, (index, 2), 3) for index in range(2)]
@@ -31,35 +32,36 @@ def test_shards_are_the_whole(demonstrations: str) -> None:
         choose_units(cells, (0, 1), 0)
 
     arguments: dict[str, Any] = {"max_parallel": 1}
-    spec = quick_grid(seeds=[0, 1])
-    ail.sweep(spec, "whole", **arguments)
+    spec = two_cells()
     for index in range(2):
         ail.sweep(spec, f"part-{index}", shard=(index, 2), **arguments)
     half = merge_sweeps(Path("merged"), [Path("part-0")])
     assert sorted(row["status"] for row in half) == ["done", "not run"]
     rows = merge_sweeps(Path("merged"), [Path("part-0"), Path("part-1")])
     for name in ("results.csv", "curves.csv"):
-        assert Path("merged", name).read_bytes() == Path("whole", name).read_bytes()
+        assert Path("merged", name).read_bytes() == (one_by_one[0] / name).read_bytes()
     again = Watch()
     assert ail.sweep(spec, "merged", watch=again, **arguments) == rows
     assert again.begun == []
 
-    ail.sweep(quick_grid(), "other")
+    expand(quick_grid()).save(Path("other/sweep.json"))
     with pytest.raises(ail.UserError, match="other holds another sweep"):
         merge_sweeps(Path("merged"), [Path("part-0"), Path("other")])
     with pytest.raises(ail.UserError, match="no such file"):
         merge_sweeps(Path("merged"), [Path("nowhere")])
 
 
-def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
-    spec = quick_grid(settings={"num_iterations": 12})
-    ail.sweep(spec, "shard")
-    (cell,) = expand(spec).cells
+def test_merging_loses_nothing_and_copies_files_only(
+    in_tmp_path: Path, one_by_one: tuple[Path, list[Any]]
+) -> None:
+    spec = two_cells()
+    shutil.copytree(one_by_one[0], "shard")
+    cell = expand(spec).cells[0]
     theirs, ours = (Path(sweep, "cells", cell.name) for sweep in ("shard", "merged"))
     done = (theirs / "row.json").read_text()
-    save_result(theirs, failed_row(cell, "no space"), None)
+    save_row(theirs, failed_row(cell, "no space"), None)
     with pytest.raises(KeyboardInterrupt):
-        ail.sweep(spec, "merged", watch=Watch(KeyboardInterrupt(), at=11))
+        ail.sweep(spec, "merged", max_parallel=1, watch=Watch(KeyboardInterrupt(), at=11))
     metrics = (ours / "metrics.csv").read_bytes()
     merge_sweeps("merged", ["shard"])
     assert (ours / "metrics.csv").read_bytes() == metrics
@@ -67,21 +69,22 @@ def test_merging_loses_nothing_and_copies_files_only(in_tmp_path: Path) -> None:
 
     (theirs / "row.json").write_text(done)
     (theirs / "more").symlink_to("/dev/zero")
-    with pytest.raises(ail.UserError, match="more is no file"):
+    with pytest.raises(ail.UserError, match="more is neither a file nor a directory"):
         merge_sweeps("merged", ["shard"])
     (theirs / "more").unlink()
-    assert [row["status"] for row in merge_sweeps("merged", ["shard"])] == ["done"]
+    assert merge_sweeps("merged", ["shard"]) == one_by_one[1]
 
 
-def test_a_stack_is_finished_before_anything_is_merged_into_it(in_tmp_path: Path) -> None:
-    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
-    ail.sweep(spec, "shard", shard=(0, 2), max_parallel=1)
+def test_a_stack_is_finished_before_anything_is_merged_into_it(
+    in_tmp_path: Path, one_by_one: tuple[Path, list[Any]]
+) -> None:
+    spec = two_cells()
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "merged", watch=Watch(KeyboardInterrupt(), at=11))
     with pytest.raises(ail.UserError, match="let them finish, or delete it"):
-        merge_sweeps("merged", ["shard"])
+        merge_sweeps("merged", [one_by_one[0]])
     rows = ail.sweep(spec, "merged")
-    assert merge_sweeps("merged", ["shard"]) == rows
+    assert merge_sweeps("merged", [one_by_one[0]]) == rows
 
 
 def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
@@ -93,12 +96,12 @@ def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
     config = cells[0].make_plan().config
     with claimed(directory, config, resume=False):
         with pytest.raises(InUseError), claimed(directory, config, resume=False):
-            pass  # who had not seen it begin
+            pass  # a process that looked before config.json was written
         rows = ail.sweep(spec, "sweep", max_parallel=1, watch=watch)
     assert [row["status"] for row in rows] == ["not run", "done"]
     assert "another process is writing to" in watch.rows[0]["status"]
     assert not (directory / "row.json").exists()
 
-    again = Watch()  # who has seen that something is left to do, which is done meanwhile
+    again = Watch()  # of a process that finds its units finished meanwhile
     run_units(expand(spec), units[1:], Path("sweep"), watch=again)
     assert (again.begun, again.rows) == ([], [])

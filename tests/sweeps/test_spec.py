@@ -1,18 +1,22 @@
-"""Sweeps before they run: what a file asks for, and what it may not."""
+"""Sweep files: how they are expanded, and what is refused before anything runs."""
 
 import dataclasses
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.runs import training_data
 from ailsrs_jax.sweeps.cells import load_sweep
+from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.results import DONE
 from ailsrs_jax.sweeps.spec import expand, read_spec
-from ailsrs_jax.sweeps.tables import load_result, save_result
+from ailsrs_jax.sweeps.tables import cell_columns, load_row, save_row
 from tests.sweeps.toy_sweep import grid, quick_grid
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -25,16 +29,16 @@ def test_every_list_is_an_axis(demonstrations: str) -> None:
     )
     spec["settings"] = {"num_distance_samples": 50}
     cells = expand(spec).cells
-    assert [(cell.label, cell.num_trajectories, cell.seed) for cell in cells[:4]] == [
+    assert [(cell.label, cell.spec.num_trajectories, cell.seed) for cell in cells[:4]] == [
         ("ours", 1, 3),
         ("ours", 1, 0),
         ("ours", 8, 3),
         ("ours", 8, 0),
     ]
-    assert cells[0].settings == {"num_distance_samples": "50"}
-    assert [(cell.label, cell.settings) for cell in cells[4:]] == [
-        ("BC", {"num_distance_samples": "50", "num_iterations": "1"}),
-        ("BC", {"num_distance_samples": "50", "num_iterations": "1", "solver": "ridge"}),
+    assert cells[0].spec.settings == {"num_distance_samples": 50}
+    assert [(cell.label, cell.spec.settings) for cell in cells[4:]] == [
+        ("BC", {"num_distance_samples": 50, "num_iterations": 1}),
+        ("BC", {"num_distance_samples": 50, "num_iterations": 1, "solver": "ridge"}),
     ]
     assert len({cell.name for cell in cells}) == 6
 
@@ -59,9 +63,9 @@ WRONG: dict[str, dict[str, Any]] = {
     "grid entry 1: settings is 3: it must be a table": {"grid": [{"settings": 3}]},
     "settings.noise_std is {}: it must be a number": {"grid": [{"settings": {"noise_std": {}}}]},
     "label is ['a']: it must be one text": {"grid": [{"label": ["a"]}]},
-    "label is '': it must be of 1 to 80 printable characters": {"grid": [{"label": ""}]},
-    "label is 'a\\u2028b': it must be of 1 to 80": {"grid": [{"label": "a\u2028b"}]},
-    "xxx': it must be of 1 to 80 printable characters": {"grid": [{"label": "x" * 81}]},
+    "label is '': it must have 1 to 80 printable characters": {"grid": [{"label": ""}]},
+    "label is 'a\\u2028b': it must have 1 to 80": {"grid": [{"label": "a\u2028b"}]},
+    "xxx': it must have 1 to 80 printable characters": {"grid": [{"label": "x" * 81}]},
     "grid entry 2 (x) (ailsrs, hoper, None): unknown environment": {
         "grid": [{}, {"label": "x", "env": "hoper"}]
     },
@@ -71,7 +75,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "seed is -1: it must be from 0": {"grid": [{"seeds": [0, -1]}]},
     "hold 8": {"grid": [{"num_trajectories": 9}]},
     "is already in grid entry 1 (a)": {"grid": [{"label": "a"}, {"preset": "tuned"}]},
-    # What only the trainer knows.
+    # Only the trainer knows these.
     "batch_size is 7: it must be a multiple": {
         "settings": {},
         "grid": [{"algorithm": "gail", "settings": {"batch_size": 7}}],
@@ -114,7 +118,7 @@ def test_files_that_are_no_sweep(in_tmp_path: Path) -> None:
             ail.sweep(path, "sweep")
     Path("sweep").mkdir()
     Path("sweep/sweep.json").write_text("{}")
-    with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
+    with pytest.raises(ail.UserError, match="is not a sweep of this version"):
         load_sweep(Path("sweep/sweep.json"))
 
 
@@ -126,42 +130,84 @@ def test_files_cannot_name_other_directories(in_tmp_path: Path) -> None:
         path.write_text(
             json.dumps(dataclasses.asdict(dataclasses.replace(sweep, cells=(hostile,))))
         )
-        with pytest.raises(ail.UserError, match="is not of a sweep, or damaged"):
+        with pytest.raises(ail.UserError, match="is not a sweep of this version"):
             load_sweep(path)
-    save_result(Path("a"), {"cell": "../b", "status": DONE}, None)
+    save_row(Path("a"), {"cell": "../b", "status": DONE}, None)
     with pytest.raises(ail.UserError, match="is not of this cell; delete it"):
-        load_result(Path("a"))
+        load_row(Path("a"))
 
 
 def test_what_auto_means_is_decided_once(in_tmp_path: Path) -> None:
     spec = {"env": "swimmer", "algorithm": "ars", "grid": [{"settings": {"num_iterations": 1}}]}
     (cell,) = expand(spec).cells
     here = cell.make_plan().config.physics
-    assert (cell.physics, cell.engine) == ("auto", here)
-    elsewhere = "mujoco" if here == "mjx" else "mjx"
-    assert dataclasses.replace(cell, engine=elsewhere).make_plan().config.physics == elsewhere
+    assert cell.spec.physics == cell.engine == here
+    (own,) = expand(quick_grid()).cells  # which has physics of its own
+    assert (own.spec.physics, own.engine) == ("auto", "none")
 
 
-def test_a_sweep_of_an_earlier_version_goes_on(in_tmp_path: Path) -> None:
-    sweep, path = expand(quick_grid()), Path("sweep.json")
-    sweep.save(path)
-    content = json.loads(path.read_text())
-    del content["cells"][0]["demonstrations_sha256"]
-    path.write_text(json.dumps(content))
-    sweep.require_same(path)
+def test_settings_are_typed(in_tmp_path: Path) -> None:
+    """Names and tables show them as they would be written on the command line."""
+    settings = {"noise_std": 1, "scale_by_std": False}
+    (cell,) = expand(quick_grid(settings=settings)).cells
+    assert cell.spec.settings["noise_std"] == 1.0
+    assert "noise_std=1.0" in cell.name
+    assert "scale_by_std=false" in cell_columns(cell)["settings"]
+    expand(quick_grid(settings=settings)).save(Path("sweep.json"))
+    assert load_sweep(Path("sweep.json")).cells == (cell,)
+    for wrong in ({"noise_std": "1"}, {"num_directions": 4.0}, {"scale_by_std": 1}):
+        with pytest.raises(ail.UserError, match=r"grid entry 1 .*: setting .* it must be"):
+            expand(quick_grid(settings=wrong))
 
 
-def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> None:
+def test_your_own_algorithm_is_in_the_current_directory(in_tmp_path: Path) -> None:
+    text = '[[grid]]\nenv = "tests.point_mass:PointMass"\nalgorithm = ["ars", "{}"]\n'
+    code = """
+        import dataclasses
+        import ailsrs_jax as ail
+        algorithm = dataclasses.replace(ail.find_algorithm("ars"), title="Mine")
+    """
+    Path("mine.py").write_text(textwrap.dedent(code))
+    Path("mine.toml").write_text(text.format("mine:algorithm"))
+    theirs, mine = expand(read_spec(Path("mine.toml"))).cells
+    assert (theirs.label, mine.label) == ("ARS", "Mine")
+    assert mine.spec == dataclasses.replace(theirs.spec, algorithm="mine:algorithm")
+    assert mine.program != theirs.program
+    assert mine.make_plan().algorithm.title == "Mine"
+    assert estimated_env_steps(mine) == estimated_env_steps(theirs) > 0
+
+    names = {
+        "os:abort": 'algorithm = "os:abort"',
+        "tests.elsewhere:algorithm": 'algorithm = ["ars", "tests.elsewhere:algorithm"]',
+        "../mine:loss": '[grid.settings]\ndiscriminator_loss = ["../mine:loss"]',
+    }
+    for name, line in names.items():
+        Path("hostile.toml").write_text(f'[[grid]]\nenv = "hopper"\n{line}\n')
+        with pytest.raises(ail.UserError, match=f"hostile.toml names {name}: no such module is in"):
+            read_spec(Path("hostile.toml"))
+
+
+def test_another_file_of_the_same_name_is_another_sweep(
+    demonstrations: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = grid(demonstrations)
     expand(spec).save(Path("sweep/sweep.json"))
     (begun,) = load_sweep(Path("sweep/sweep.json")).cells
     recorded = ail.load_demonstrations(demonstrations)
     other = recorded.replace(observations=0.5 * recorded.observations)
     save_demonstrations(other, demonstrations)
-    with pytest.raises(ail.UserError, match=r"point_mass\.npz is not what it was when the sweep"):
+    with pytest.raises(ail.UserError, match=r"point_mass\.npz has changed since the sweep began"):
         begun.make_plan()
     with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
         expand(spec).save(Path("sweep/sweep.json"))
+    swimmer = other.replace(
+        observations=np.zeros((1, 60, 8)),
+        actions=np.zeros((1, 60, 2)),
+        lengths=np.array([60]),
+        returns=np.zeros(1),
+        env_id="Swimmer-v5",
+    )
+    monkeypatch.setattr(training_data, "expert_demonstrations", lambda *_, **__: swimmer)
     (shipped,) = expand({"env": "swimmer", "grid": [{"num_trajectories": 1}]}).cells
     assert shipped.demonstrations_sha256 is None
 
@@ -169,7 +215,7 @@ def test_another_file_of_the_same_name_is_another_sweep(demonstrations: str) -> 
 @pytest.mark.parametrize("key", ["seeds", "episodes", "subsample", "label", "settings.noise_std"])
 def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> None:
     Path("long.toml").write_text(f'{key} = 0x{"f" * 4000}\nenv = "hopper"\n[[grid]]\n')
-    with pytest.raises(ail.UserError, match=r"that no computer counts to|there is no key"):
+    with pytest.raises(ail.UserError, match=r"of more than 64 bits|there is no key"):
         expand(read_spec(Path("long.toml")))
 
 

@@ -12,19 +12,24 @@ from ailsrs_jax.cli.progress import SweepProgress
 from ailsrs_jax.sweeps.spec import expand, read_spec
 from ailsrs_jax.sweeps.sweep import choose_units, run_units
 from tests.cli.test_cli import ailsrs
-from tests.sweeps.toy_sweep import POINT_MASS, SEARCH, Watch, grid, quick_grid, table
+from tests.sweeps.toy_sweep import POINT_MASS, SEARCH, Watch, grid, quick_grid, table, two_cells
 
 
 @pytest.mark.parametrize("max_parallel", [1, 64])
-def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: int) -> None:
-    """To the same tables, byte for byte."""
-    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
+def test_cells_are_skipped_resumed_and_retried(
+    in_tmp_path: Path, one_by_one: tuple[Path, list[Any]], max_parallel: int
+) -> None:
+    """The tables are the same, byte for byte."""
+    spec = two_cells()
     arguments: dict[str, Any] = {"max_parallel": max_parallel}
-    whole = ail.sweep(spec, "whole", **arguments)
+    directory, whole = one_by_one
+    if max_parallel > 1:
+        directory = Path("whole")
+        whole = ail.sweep(spec, directory, **arguments)
     names = [row["cell"] for row in whole]
     num_reports = 24 if max_parallel == 1 else 12
 
-    # Stopped one iteration after the last checkpoint but one.
+    # Stopped in the last iteration but one, after the checkpoint of iteration 10.
     stopped = Watch(KeyboardInterrupt(), at=num_reports - 2)
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "stopped", watch=stopped, **arguments)
@@ -48,11 +53,11 @@ def test_cells_are_skipped_resumed_and_retried(in_tmp_path: Path, max_parallel: 
     assert ail.sweep(spec, "failed", **arguments) == whole
 
     again = Watch()
-    ail.sweep(spec, "whole", watch=again, **arguments)
+    ail.sweep(spec, directory, watch=again, **arguments)
     assert again.begun == []
     for name in ("results.csv", "curves.csv"):
         for other in ("stopped", "failed"):
-            assert Path(other, name).read_bytes() == Path("whole", name).read_bytes()
+            assert Path(other, name).read_bytes() == (directory / name).read_bytes()
     assert not list(Path().glob("*/stacks/*"))
 
 
@@ -72,11 +77,11 @@ def test_told_to_stop_it_saves_first(in_tmp_path: Path, max_parallel: int) -> No
 
 
 def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
-    spec = quick_grid(seeds=[0, 1], settings={"num_iterations": 12})
+    spec = two_cells()
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "sweep", watch=Watch(KeyboardInterrupt(), at=11))
     cells = [path for path in Path("sweep/cells").iterdir() if path.is_dir()]
-    for cell in cells:  # as of a run alone
+    for cell in cells:  # each is a run directory
         assert list(cell.glob("seed_*/policy.npz"))
     rows = [(cell / "metrics.csv").read_bytes() for cell in cells]
     with pytest.raises(ail.UserError, match="begun with another --max-parallel"):
@@ -86,14 +91,16 @@ def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
     assert not list(Path("sweep/stacks").iterdir())
 
 
-def test_what_has_a_checkpoint_of_its_own_goes_on_alone(in_tmp_path: Path) -> None:
+def test_a_cell_with_a_checkpoint_of_its_own_goes_on_alone(
+    in_tmp_path: Path, one_by_one: tuple[Path, list[Any]]
+) -> None:
     spec = quick_grid(seeds=[0, 1, 2], settings={"num_iterations": 12})
-    alone = ail.sweep(spec, "alone", max_parallel=1)
+    _, alone = one_by_one
     with pytest.raises(KeyboardInterrupt):
         ail.sweep(spec, "sweep", max_parallel=1, watch=Watch(KeyboardInterrupt(), at=10))
     stopped = Watch(KeyboardInterrupt(), at=2 + 10)
     with pytest.raises(KeyboardInterrupt):
-        ail.sweep(spec, "sweep", watch=stopped)  # the other two from their beginning, together
+        ail.sweep(spec, "sweep", watch=stopped)  # trains the other two together
     assert stopped.rows == alone[:1]
     Path("sweep/cells", alone[0]["cell"], "row.json").unlink()
     resumed = Watch()
@@ -123,14 +130,17 @@ def test_what_is_left_of_a_stack_is_all_that_is_trained(in_tmp_path: Path) -> No
 
 
 def test_another_sweep_is_not_mixed_in(in_tmp_path: Path) -> None:
-    ail.sweep(quick_grid(), "sweep")
+    expand(quick_grid()).save(Path("sweep/sweep.json"))
+    (cell,) = expand(quick_grid()).cells
+    other = cell.name.replace("seed0", "seed1")
     calls = {
-        "1 cells are new, ": quick_grid(seeds=[0, 1]),
-        "label of ": quick_grid(label="ours"),
-        "1 cells are not asked for any more, ": quick_grid(seeds=1),
-        "episodes is 3, was 2": quick_grid() | {"episodes": 3},
+        f"the number of cells is 2, was 1; cell 1 is {other}, was not there": {"seeds": [0, 1]},
+        f"label of {cell.name} is ours, was ARS; choose": {"label": "ours"},
+        f"cell 0 is {other}, was {cell.name}; ": {"seeds": 1},
+        "episodes is 3, was 2; choose": {},
     }
-    for message, spec in calls.items():
+    for message, entry in calls.items():
+        spec = quick_grid(**entry) | ({} if entry else {"episodes": 3})
         with pytest.raises(ail.UserError, match="sweep holds another sweep: ") as caught:
             ail.sweep(spec, "sweep")
         assert message in str(caught.value)
@@ -151,7 +161,9 @@ def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
 
 
 def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
-    settings = "\n".join(f"{name} = {value}" for name, value in SEARCH.items())
+    settings = "\n".join(
+        f"{name} = {value}" for name, value in (SEARCH | {"num_directions": 4}).items()
+    )
     Path("tiny.toml").write_text(
         f"""
         episodes = 2
@@ -164,7 +176,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
         """
     )
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "out") == 0
-    # Two cells, three iterations, four directions forwards and backwards, eight evaluations.
+    # Two cells, three iterations, four directions with two signs, eight evaluation episodes.
     printed = capsys.readouterr().out
     assert f"2 cells in 1 programs, at most {2 * 3 * 16 * 20 / 1e6:.1f} M steps" in printed
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--json", "--quiet") == 0
@@ -185,7 +197,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(SweepProgress, "__call__", interrupt)
         assert ailsrs(patched, "sweep", "tiny.toml", "--output", "out") == 130
-    assert "saved; go on with:\nailsrs sweep tiny" in capsys.readouterr().err
+    assert "saved; continue with:\nailsrs sweep tiny" in capsys.readouterr().err
     assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--output", "out") == 0
     printed = capsys.readouterr().out
     assert "2/2  tests.point" in printed
@@ -193,7 +205,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert Path("out/table.md").exists()
     assert list(Path("out/figures").glob("*.png"))
 
-    # Another run in the place of one of them.
+    # A different run takes the place of one cell.
     cell = expand(read_spec(Path("tiny.toml"))).cells[1].name
     Path("out/cells", cell, "row.json").unlink()
     config = Path("out/cells", cell, "config.json")
@@ -220,7 +232,7 @@ def test_what_is_finished_is_never_trained_again(in_tmp_path: Path) -> None:
 
     spec = quick_grid(seeds=[0, 1, 2])
     with pytest.raises(KeyboardInterrupt):
-        ail.sweep(spec, "sweep", watch=Stop())  # when the first of the stack is evaluated
+        ail.sweep(spec, "sweep", watch=Stop())  # after evaluating the first of the stack
     resumed = Watch()
     rows = ail.sweep(spec, "sweep", watch=resumed)
     assert resumed.begun == [row["cell"] for row in rows[1:]]

@@ -1,7 +1,6 @@
-"""What else steps these tasks, measured for ``ailsrs benchmark``.
+"""Other packages that step these tasks, measured for ``ailsrs benchmark``.
 
-Each function returns environment steps per second, the best of the ways in which its package does
-it.
+Each function returns environment steps per second, in the fastest configuration of its package.
 """
 
 import dataclasses
@@ -18,19 +17,19 @@ from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
 
-SECONDS = 3.0  # that a configuration of a vector environment is stepped for
-STEPS = 64_000  # of an epoch of Brax's, whose speed does not depend on the length of an episode
+SECONDS = 3.0  # how long a configuration of a vector environment is stepped
+STEPS = 64_000  # in an epoch of Brax, whose speed does not depend on the episodes' length
 
 
 def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
-    """Brax's augmented random search on Brax's own MJX task of the same name, on all devices."""
+    """Measure Brax's augmented random search on its own MJX task of this name, on all devices."""
     import brax.envs
     from brax.training.agents.ars import train as ars
 
     speeds: list[float] = []
     num_epochs = 3  # the first compiles
     num_devices = jax.local_device_count()
-    while 2 * num_directions % num_devices:  # it wants the same number on each
+    while 2 * num_directions % num_devices:  # each device must get the same number
         num_devices -= 1
     episode_length = min(episode_length, max(STEPS // (2 * num_directions), 1))
     ars.train(
@@ -49,7 +48,7 @@ def brax_ars(env_id: str, num_directions: int, episode_length: int) -> float:
 
 
 def gymnasium_vector(env_id: str) -> float:
-    """Gymnasium's vector environment with a process for each core, or in this one if faster."""
+    """Measure Gymnasium's vector environment: a process for each core, or all in this process."""
     import gymnasium
 
     speeds = []
@@ -67,7 +66,7 @@ def gymnasium_vector(env_id: str) -> float:
 
 
 def envpool(env_id: str) -> float:
-    """EnvPool with a thread for each core, synchronous or not, in batches of several sizes."""
+    """Measure EnvPool with a thread for each core, synchronous or not, in several batch sizes."""
     import envpool as pool
 
     speeds = []
@@ -103,11 +102,13 @@ def _rate(step: Callable[[], Any], steps_in_a_call: int) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Peer:
-    """Something to compare with."""
+    """A package to compare with."""
 
     package: str
     physics: str
-    measure: Callable[[str, int, int], float]  # of a task, directions and episode length
+    measure: Callable[
+        [str, int, int], float
+    ]  # takes the task, the number of directions, the episode length
 
     def is_installed(self) -> bool:
         """Whether its package can be imported."""

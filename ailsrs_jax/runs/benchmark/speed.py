@@ -1,4 +1,4 @@
-"""How fast tasks are stepped here: bare physics, rollouts, training steps and installed peers."""
+"""Measure the speed of bare physics, rollouts, training steps and installed peers."""
 
 import concurrent.futures
 import contextlib
@@ -6,13 +6,12 @@ import dataclasses
 import multiprocessing
 import os
 import resource
-import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import mujoco.rollout
@@ -36,14 +35,14 @@ from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One measurement."""
+    """The speed of one stage."""
 
     env: str
-    physics: str  # a peer's own, for a peer
+    physics: str  # the engine, ours or the peer's
     stage: str  # bare, rollout, train or peer:NAME
-    env_steps_per_s: float  # of live episodes; the median of the repeats
+    env_steps_per_s: float  # steps of episodes that have not ended; the median of the repeats
     compile_s: float | None
-    peak_memory_mb: float  # of the process that measured it, or of its accelerator
+    peak_memory_mb: float  # of the measuring process or, if there is one, its accelerator
     utilization: float | None = None  # live steps / steps of the slots that simulated them
 
 
@@ -52,8 +51,16 @@ class Measurement:
     """What one process measured."""
 
     rows: tuple[Row, ...]
-    ratios: dict[str, float]  # of speeds
-    problem: str = ""  # why there are none
+    ratios: dict[str, float]  # ratios of speeds, by name
+    problem: str = ""  # why a peer could not be measured
+
+
+class Stage(NamedTuple):
+    """A compiled program to measure."""
+
+    call: Callable[[], Any]
+    live_steps: int  # in a call
+    compile_s: float
 
 
 def benchmark(
@@ -63,10 +70,10 @@ def benchmark(
     episode_length: int,
     repeats: int,
 ) -> Iterator[Measurement]:
-    """Measure every task on every engine and with every peer, each in a process of its own.
+    """Measure every task on every engine and with every peer, each in its own process.
 
     Raises:
-        UserError: a measurement of ours failed.
+        UserError: a measurement failed that is not a peer's.
     """
     for env_id in env_ids:
         speeds: dict[str, float] = {}
@@ -76,27 +83,29 @@ def benchmark(
             speeds[engine] = measurement.rows[-1].env_steps_per_s
             yield measurement
         for name, peer in peers.PEERS.items():
-            if env_id in TASKS and peer.is_installed():
-                try:
-                    row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
-                except UserError as error:  # theirs: ours are still worth having
-                    yield Measurement((), {}, str(error))
-                    continue
-                ratios = {
-                    f"{env_id} {engine} train / {row.stage}": speed / row.env_steps_per_s
-                    for engine, speed in speeds.items()
-                }
-                yield Measurement((row,), ratios)
+            if env_id not in TASKS or not peer.is_installed():
+                continue
+            try:
+                row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
+            except UserError as error:  # a peer that fails does not end the benchmark
+                yield Measurement((), {}, str(error))
+                continue
+            ratios = {
+                f"{env_id} {engine} train / {row.stage}": speed / row.env_steps_per_s
+                for engine, speed in speeds.items()
+            }
+            yield Measurement((row,), ratios)
 
 
 def measure(
     env_id: str, engine: str, num_directions: int, episode_length: int, repeats: int
 ) -> Measurement:
-    """Bare physics, the rollout and the training step of one task on one engine, taking turns.
+    """Measure bare physics, the rollout and the training step of a task on an engine, in turns.
 
-    All simulate the first iteration of the paper's preset, from zero weights; speeds are compared
-    turn by turn. Bare physics replays the actions of the rollout from the same initial states, one
-    environment step after the other, with no policy, observation, reward or end of an episode.
+    All three simulate the first iteration of the paper's preset, from weights of zero. Ratios
+    compare speeds of the same turn. Bare physics replays the rollout's actions from the same
+    initial states, one environment step in a call, without policies, observations, rewards or ends
+    of episodes.
     """
     set_up_jax()
     env = make_env(env_id, engine)
@@ -107,7 +116,7 @@ def measure(
         episode_length=episode_length,
         behavior_cloning_start=False,
     )
-    simulator = choose_simulator(env)
+    simulator = _shared_evenly(choose_simulator(env), 2 * num_directions)
     trainer = make_ailsrs(simulator, _demonstrations(env), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
     noise_key, reset_key = jax.random.split(jax.random.key(1))
@@ -115,67 +124,52 @@ def measure(
     update, update_compile_s = _compile(trainer.update, state)
     episodes = rollout()
     bare, bare_compile_s = _bare(simulator, np.asarray(episodes.actions), reset_key)
-
-    compile_s = {"bare": bare_compile_s, "rollout": rollout_compile_s, "train": update_compile_s}
-    live_steps = {
-        "bare": 2 * num_directions * episode_length,
-        "rollout": int(episodes.env_steps),
-        "train": int(update(state)[1]["env_steps"]),
+    stages = {
+        "bare": Stage(bare, 2 * num_directions * episode_length, bare_compile_s),
+        "rollout": Stage(rollout, int(episodes.env_steps), rollout_compile_s),
+        "train": Stage(lambda: update(state), int(update(state)[1]["env_steps"]), update_compile_s),
     }
-    calls: dict[str, Callable[[], Any]] = {
-        "bare": bare,
-        "rollout": rollout,
-        "train": lambda: update(state),
-    }
-    speeds: dict[str, list[float]] = {stage: [] for stage in calls}
+    speeds: dict[str, list[float]] = {name: [] for name in stages}
     for _ in range(repeats):
-        for stage, call in calls.items():
+        for name, stage in stages.items():
             started = time.perf_counter()
-            jax.block_until_ready(call())
-            speeds[stage].append(live_steps[stage] / (time.perf_counter() - started))
-
-    memory = _peak_memory_mb()
+            jax.block_until_ready(stage.call())
+            speeds[name].append(stage.live_steps / (time.perf_counter() - started))
     utilization = float(episodes.env_steps / episodes.slot_steps)
+    memory = _peak_memory_mb()
     rows = tuple(
         Row(
             env=env_id,
             physics=engine,
-            stage=stage,
-            env_steps_per_s=statistics.median(speeds[stage]),
-            compile_s=compile_s[stage],
+            stage=name,
+            env_steps_per_s=float(np.median(speeds[name])),
+            compile_s=stage.compile_s,
             peak_memory_mb=memory,
-            utilization=utilization if stage == "rollout" and engine == "mjx" else None,
+            utilization=utilization if name == "rollout" and engine == "mjx" else None,
         )
-        for stage in calls
+        for name, stage in stages.items()
     )
     ratios = {
-        f"{env_id} {engine} {stage} / bare": statistics.median(
-            np.divide(speeds[stage], speeds["bare"]).tolist()
+        f"{env_id} {engine} {name} / bare": float(
+            np.median(np.divide(speeds[name], speeds["bare"]))
         )
-        for stage in ("rollout", "train")
+        for name in ("rollout", "train")
     }
     return Measurement(rows, ratios)
 
 
 def measure_peer(name: str, env_id: str, num_directions: int, episode_length: int) -> Row:
-    """The speed of one peer."""
+    """Measure the speed of a peer."""
     set_up_jax()
     peer = peers.PEERS[name]
-    with _unheard():
+    with _silenced():
         speed = peer.measure(env_id, num_directions, episode_length)
-    return Row(
-        env=env_id,
-        physics=peer.physics,
-        stage=f"peer:{name}",
-        env_steps_per_s=speed,
-        compile_s=None,
-        peak_memory_mb=_peak_memory_mb(),
-    )
+    return Row(env_id, peer.physics, f"peer:{name}", speed, None, _peak_memory_mb())
 
 
 @contextlib.contextmanager
-def _unheard() -> Iterator[None]:
-    """Keep what peers and their own processes warn about off the terminal and out of files here."""
+def _silenced() -> Iterator[None]:
+    """Hide the warnings of peers and their processes, and keep their files out of here."""
     with (
         tempfile.TemporaryDirectory() as directory,
         contextlib.chdir(directory),
@@ -191,7 +185,7 @@ def _unheard() -> Iterator[None]:
 
 
 def _demonstrations(env: MujocoTask) -> Demonstrations:
-    """Ten episodes of noise: what they hold makes no difference to the speed."""
+    """Return ten episodes of noise, because the speed does not depend on their content."""
     rng = np.random.default_rng(0)
     return Demonstrations(
         observations=rng.normal(size=(10, 1000, env.observation_size)).astype(np.float32),
@@ -202,10 +196,18 @@ def _demonstrations(env: MujocoTask) -> Demonstrations:
     )
 
 
+def _shared_evenly(simulator: Simulator, num_episodes: int) -> Simulator:
+    """Leave out devices until the others can share the episodes evenly."""
+    mesh = simulator.mesh
+    while mesh is not None and num_episodes % mesh.size:
+        mesh = jax.sharding.Mesh(mesh.devices[:-1], mesh.axis_names)
+    return dataclasses.replace(simulator, mesh=mesh)
+
+
 def _rollout(
     trainer: Ailsrs, state: TrainState, noise_key: jax.Array, reset_key: jax.Array
 ) -> Callable[[], Episodes]:
-    """The perturbed policies' episodes."""
+    """Return a program that simulates the episodes of the perturbed policies."""
     settings = dataclasses.replace(trainer.settings, num_evaluation_episodes=0)
 
     def rollout() -> Episodes:
@@ -221,7 +223,7 @@ def _rollout(
 def _bare(
     simulator: Simulator, actions: np.ndarray, reset_key: jax.Array
 ) -> tuple[Callable[[], Any], float]:
-    """Physics alone, under the given ``actions (B, T, p)``, and how long it took to compile."""
+    """Return a program that replays ``actions (B, T, p)``, and how long it took to compile."""
     env = simulator.env
     _, exploration_key = jax.random.split(reset_key)
     keys = jax.random.split(exploration_key, (2, len(actions) // 2)).ravel()
@@ -254,8 +256,9 @@ def _bare_mujoco(env: MujocoTask, initial: PhysicsState, actions: np.ndarray) ->
     pool = mujoco.rollout.Rollout(nthread=cores)
 
     def replay() -> None:
-        # One environment step in a call: who chooses actions can have no more. Fifty in a call,
-        # which leave a simulation in its cache, were 11 % faster on HalfCheetah, 5 % on Hopper.
+        # One environment step in a call, as with a policy, which needs the state to choose the next
+        # action. Fifty in a call, which keep a simulation in the cache, were 11 % faster on
+        # HalfCheetah and 5 % on Hopper.
         state = first
         for start in range(0, controls.shape[1], frame_skip):
             steps, _ = pool.rollout(model, data, state, controls[:, start : start + frame_skip])
@@ -271,15 +274,15 @@ def _compile(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..
 
 
 def _peak_memory_mb() -> float:
-    statistics = jax.local_devices()[0].memory_stats()
-    if statistics:
-        return float(statistics["peak_bytes_in_use"]) / 2**20
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # in KiB, on macOS in bytes
+    stats = jax.local_devices()[0].memory_stats()
+    if stats:
+        return float(stats["peak_bytes_in_use"]) / 2**20
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # in KiB, but in bytes on macOS
     return float(peak) / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def _in_a_process(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call in a new process, whose memory and JAX are its own."""
+    """Call ``function`` in a new process, with its own memory and JAX."""
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(1, mp_context=context) as pool:
         try:

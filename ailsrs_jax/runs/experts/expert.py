@@ -1,4 +1,4 @@
-"""Training an expert on the environment's reward: a neural policy by Brax, or a linear one."""
+"""Train an expert on the environment's reward: a neural policy by Brax, or a linear one."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +23,7 @@ from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
-from ailsrs_jax.trainers.parts.settings import override, parse
-
-ALGORITHMS = ("ppo", "es", "ars")
+from ailsrs_jax.trainers.parts.settings import override
 
 
 def train_expert(
@@ -50,61 +48,42 @@ def train_expert(
     'Fast'
 
     Args:
-        env: the task, ``Hopper-v5`` or ``hopper``, or ``module:attribute`` for one's own; or any
-            Brax environment.
-        algorithm: ``ppo``, Brax's proximal policy optimization of a multilayer perceptron;
-            ``es``, its evolution strategy; or ``ars``, augmented random search of a linear policy.
+        env: the task, ``Hopper-v5`` or ``hopper``; ``module:attribute`` for a task of your own; or
+            any Brax environment.
+        algorithm: ``ppo`` is Brax's proximal policy optimization of a multilayer perceptron,
+            ``es`` its evolution strategy, and ``ars`` augmented random search of a linear policy.
         seed: random seed.
-        physics: ``auto``, ``mjx`` or ``mujoco``, where the task is given by its name.
-        output: the policy file to write, whenever a better policy is found, or the last one of
-            ``es``; without it nothing is written.
+        physics: ``auto``, ``mjx`` or ``mujoco``; only for a task given by its name.
+        output: a policy file, written whenever a better policy is found; ``es`` writes it once, in
+            the end. Without it nothing is written.
         watch: called after every iteration.
-        settings: fields of :class:`~ailsrs_jax.runs.experts.ppo.PpoSettings`,
+        settings: changed fields of :class:`~ailsrs_jax.runs.experts.ppo.PpoSettings`,
             :class:`~ailsrs_jax.runs.experts.evolution.EvolutionSettings` or
-            :class:`~ailsrs_jax.trainers.ars.ArsSettings` to change.
+            :class:`~ailsrs_jax.trainers.ars.ArsSettings`.
 
     Returns:
-        The best policy met; the last one of ``es``.
+        The best policy; with ``es``, the last one.
 
     Raises:
-        UserError: something handed in is wrong, or most episodes diverged.
-    """
-    assignments = {name: str(value) for name, value in settings.items()}
-    path = Path(output) if output else None
-    return search_expert(env, seed, physics, assignments, path, watch, algorithm)
-
-
-def search_expert(
-    env: Env | str,
-    seed: int,
-    physics: str,
-    assignments: dict[str, str],
-    output: Path | None,
-    watch: Callable[[IterationReport], None] | None,
-    algorithm: str = "ppo",
-) -> SavedPolicy:
-    """What :func:`train_expert` does, with settings as text.
-
-    Raises:
-        UserError: something handed in is wrong, or no policy was good enough to have a return.
+        UserError: an argument is wrong, most episodes diverged, or no policy had a finite return.
     """
     set_up_jax()
-    if algorithm not in ALGORITHMS:
-        raise UserError(f"unknown algorithm '{algorithm}': use one of {', '.join(ALGORITHMS)}")
     task = open_env(env, physics)
+    chosen = override(expert_settings(algorithm, task.env_id), settings)
     require_seed(seed)
-    if output is not None:
-        require_format(output)
-        require_writable(output)
+    path = Path(output) if output else None
+    if path is not None:
+        require_format(path)
+        require_writable(path)
     best: SavedPolicy | None = None
     best_score = -np.inf
 
     def offer(policy: Policy, score: float) -> None:
         nonlocal best, best_score
-        if score > best_score:  # never, if it is NaN
+        if score > best_score:  # false if the score is NaN
             best, best_score = saved_policy(policy, task.env_id), score
-            if output is not None:  # at once: what was found is not lost if this is interrupted
-                best.save(output)
+            if path is not None:  # at once, so that an interruption does not lose it
+                best.save(path)
 
     def consider(report: IterationReport, policy: Policy, score: float) -> None:
         offer(policy, score)
@@ -112,26 +91,40 @@ def search_expert(
             watch(report)
         report.require_most_finite()
 
-    if algorithm == "ppo":
-        preset = PPO_PRESETS.get(task.env_id, PpoSettings())
-        ppo_settings = override(preset, parse(preset, assignments))
-        train_ppo(task.env, ppo_settings, seed, consider)
-    elif algorithm == "es":
-        es_settings = override(EvolutionSettings(), parse(EvolutionSettings(), assignments))
-        offer(*train_by_evolution(task.env, es_settings, seed, watch or (lambda _: None)))
+    if isinstance(chosen, PpoSettings):
+        train_ppo(task.env, chosen, seed, consider)
+    elif isinstance(chosen, EvolutionSettings):
+        offer(*train_by_evolution(task.env, chosen, seed, watch or (lambda _: None)))
     else:
-        tuned = preset_settings(task.env_id, "tuned", "ars")
-        ars_settings = override(tuned, parse(tuned, assignments))
-        _search(task.env, ars_settings, seed, consider)
+        _search(task.env, chosen, seed, consider)
     if best is None:
         raise UserError("no policy was found: the return was never a finite number")
     return best
 
 
+def expert_settings(algorithm: str, env_id: str) -> PpoSettings | EvolutionSettings | ArsSettings:
+    """Return the settings that :func:`train_expert` starts from.
+
+    Raises:
+        UserError: the algorithm is unknown.
+    """
+    if algorithm == "ppo":
+        return PPO_PRESETS.get(env_id, PpoSettings())
+    if algorithm == "es":
+        return EvolutionSettings()
+    if algorithm == "ars":
+        settings: ArsSettings = preset_settings(env_id, "tuned", "ars")
+        return settings
+    raise UserError(f"unknown algorithm '{algorithm}': use one of ppo, es, ars")
+
+
 def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., None]) -> None:
     trainer = make_ars(choose_simulator(env), settings)
     seeds, env_steps = np.array([seed], np.int32), np.zeros(1, np.int64)
-    start = jax.jit(jax.vmap(lambda seed: trainer.init(jax.random.key(seed))))(seeds)
-    for state, report in iterate(trainer.update, start, env_steps, 0, settings.num_iterations):
+    place = trainer.simulator.everywhere
+    init = jax.vmap(lambda seed: trainer.init(jax.random.key(seed)))
+    start = jax.jit(init, out_shardings=place)(seeds)
+    num_iterations = settings.num_iterations
+    for state, report in iterate(trainer.update, start, env_steps, 0, num_iterations, place=place):
         kept = jax.tree.map(lambda x: x[0], state.kept)
         consider(report, kept.policy, float(kept.score))

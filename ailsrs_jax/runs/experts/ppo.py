@@ -1,23 +1,20 @@
-"""Neural experts: Brax's proximal policy optimization on our environments."""
+"""Brax's proximal policy optimization on our environments."""
 
 import contextlib
 import dataclasses
 import functools
-import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from brax.envs.wrappers import training as wrappers
 from brax.training.agents.ppo import networks, train
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.wrappers import EndDiverged
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.experts.unit_actions import UnitActions, unit_policy
+from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments
+from ailsrs_jax.runs.experts.unit_actions import unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.trainers.parts.rollout import simulate
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
@@ -25,15 +22,15 @@ from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
 
 @dataclasses.dataclass(frozen=True)
 class PpoSettings:
-    """Settings of :func:`train_ppo`, under Brax's names."""
+    """Settings of :func:`train_ppo`, most of them under Brax's names."""
 
     num_env_steps: int = 5_000_000
     num_evaluations: int = 50
     num_evaluation_episodes: int = 32
     episode_length: int = 1000
     num_envs: int = 32
-    unroll_length: int = 128  #: steps of an environment in a batch
-    num_minibatches: int = 16  #: of num_envs / num_minibatches environments each
+    unroll_length: int = 128  #: steps of each environment in a batch
+    num_minibatches: int = 16  #: each has num_envs / num_minibatches environments
     num_updates_per_batch: int = 10
     learning_rate: Positive = 3e-4
     entropy_cost: float = 0.0
@@ -42,17 +39,18 @@ class PpoSettings:
     clipping_epsilon: float = 0.2
     reward_scaling: float = 0.1
     hidden_size: int = 64  #: tanh units in each of two layers
-    init_noise_std: Positive = 1.0  #: of the Gaussian, in halves of the actions' range
-    stop_at: Signed = 0.0  #: return at which to stop, keeping what is nearest to it; 0: never
+    init_noise_std: Positive = 1.0  #: relative to half the range of an action
+    stop_at: Signed = 0.0  #: stop at this return, and keep the policy nearest to it; 0: never
 
 
 class _StopError(Exception):
-    """Ends Brax's training from within its callback."""
+    """Raised in Brax's callback to end the training."""
 
 
-# To the returns of the paper's experts; and beyond on Walker2d, where the paper's is a weak one.
+# These reach the returns of the paper's experts. On Walker2d the paper's expert is weak, and this
+# preset goes beyond it.
 PPO_PRESETS = {
-    # Noise costs Ant more than walking earns, until it is less.
+    # With more initial noise, Ant loses more by it than it earns by walking.
     "Ant-v5": PpoSettings(
         num_env_steps=4_300_800,
         num_evaluations=42,
@@ -63,7 +61,8 @@ PPO_PRESETS = {
         num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0
     ),
     "Hopper-v5": PpoSettings(stop_at=3245.0, num_evaluations=100),
-    # As Ant. A shorter horizon is enough not to fall, and the reward is mostly for that.
+    # The noise is as for Ant. Most of the reward is for not falling, which needs only a short
+    # horizon.
     "Humanoid-v5": PpoSettings(
         num_env_steps=4_096_000,
         num_evaluations=20,
@@ -88,11 +87,11 @@ def train_ppo(
         env: the environment.
         settings: the settings.
         seed: random seed.
-        consider: called after each part of the training, with what there is to report, the mean of
-            the Gaussian policy, and how good it is, higher being better.
+        consider: called after each part of the training with a report, the mean of the Gaussian
+            policy, and its score. The policy with the highest score is the best.
 
     Raises:
-        UserError: the minibatches cannot have the same number of environments.
+        UserError: num_envs is not a multiple of num_minibatches.
     """
     if settings.num_envs % settings.num_minibatches:
         raise UserError(
@@ -100,60 +99,42 @@ def train_ppo(
             f"{settings.num_minibatches}"
         )
     evaluate = jax.jit(functools.partial(_evaluate, env, settings))
-    steps_done, iteration, started = 0, 0, time.perf_counter()
+    progress = Progress(settings.num_evaluations)
 
     def evaluated(num_steps: int, _: Any, parameters: Any) -> None:
-        nonlocal steps_done, iteration, started
         if num_steps == 0:  # nothing has been trained yet
             return
         policy = _policy(env, parameters)
-        episodes = evaluate(policy, jax.random.key(iteration))
+        episodes = evaluate(policy, jax.random.key(progress.iteration))
         mean = float(episodes.env_returns.mean())
         metrics = {
             "evaluation_return": mean,
             "evaluation_length": float(episodes.lengths.mean()),
             **jax.device_get(episodes.counts()),
-            "env_steps": num_steps,
         }
-        seconds = time.perf_counter() - started
-        report = IterationReport(
-            iteration=iteration,
-            num_iterations=settings.num_evaluations,
-            metrics={name: np.array([value]) for name, value in metrics.items()},
-            seconds=seconds,
-            env_steps_per_second=(num_steps - steps_done) / seconds,
-            compile_seconds=None,  # Brax compiles within the first part
-        )
         score = mean
-        if settings.stop_at:  # a mean at the level can be of good episodes and of falls
+        if settings.stop_at:  # the distance of every episode, as good ones can make up for falls
             score = -float(jnp.sqrt(jnp.mean((episodes.env_returns - settings.stop_at) ** 2)))
-        consider(report, policy, score)
+        with progress.report(num_steps, metrics) as report:
+            consider(report, policy, score)
         if settings.stop_at and mean >= settings.stop_at:
             raise _StopError
-        steps_done, iteration, started = num_steps, iteration + 1, time.perf_counter()
 
     with contextlib.suppress(_StopError):
         train.train(
-            environment=UnitActions(EndDiverged(env)),
-            wrap_env_fn=wrappers.wrap,
-            max_devices_per_host=1,
-            num_timesteps=settings.num_env_steps,
-            num_evals=settings.num_evaluations + 1,
-            run_evals=False,  # the reports above are ours
+            **shared_arguments(env, settings, seed),
+            run_evals=False,  # evaluated() evaluates instead
             num_resets_per_eval=1,
             num_envs=settings.num_envs,
-            episode_length=settings.episode_length,
             unroll_length=settings.unroll_length,
             batch_size=settings.num_envs // settings.num_minibatches,
             num_minibatches=settings.num_minibatches,
             num_updates_per_batch=settings.num_updates_per_batch,
-            learning_rate=settings.learning_rate,
             entropy_cost=settings.entropy_cost,
             discounting=settings.discounting,
             gae_lambda=settings.gae_lambda,
             clipping_epsilon=settings.clipping_epsilon,
             reward_scaling=settings.reward_scaling,
-            normalize_observations=True,
             network_factory=functools.partial(
                 networks.make_ppo_networks,
                 policy_hidden_layer_sizes=(settings.hidden_size,) * 2,
@@ -166,7 +147,6 @@ def train_ppo(
                 mean_kernel_init_kwargs={"scale": 0.01},
             ),
             policy_params_fn=evaluated,
-            seed=seed,
         )
 
 

@@ -1,4 +1,4 @@
-"""Actions from −1 to 1, as Brax's trainers have them, and the policies that give them."""
+"""Actions from −1 to 1, which Brax's trainers expect, and the policies trained with them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,10 +13,10 @@ from ailsrs_jax.envs.interface import action_range
 
 
 class UnitActions(Wrapper):
-    """Stretches actions from −1 to 1, to which a policy's are clipped, to their range."""
+    """Clips actions to −1 to 1, and stretches them to the range of the environment."""
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One step with ``action (p,)``, −1 and 1 being the ends of each range."""
+        """Take a step with ``action (p,)``; −1 and 1 are the ends of each range."""
         middle, half_range = _stretch(self.env)
         return self.env.step(state, middle + half_range * jnp.clip(action, -1.0, 1.0))
 
@@ -27,13 +27,13 @@ def unit_policy(
     layers: Sequence[Mapping[str, jax.Array]],
     action_std: jax.Array,
 ) -> MlpPolicy:
-    """A policy that Brax trained on ``UnitActions(env)``, as one for ``env`` itself.
+    """Convert a policy that Brax trained on ``UnitActions(env)`` to one for ``env``.
 
     Args:
         env: the environment.
         normalizer: Brax's running statistics of observations.
-        layers: ``kernel (in, out)`` and ``bias (out,)`` of each.
-        action_std: ``(p,)`` of the Gaussian, in halves of the actions' range.
+        layers: the ``kernel (in, out)`` and ``bias (out,)`` of each layer.
+        action_std: standard deviation ``(p,)`` of the Gaussian, for actions from −1 to 1.
     """
     middle, half_range = _stretch(env)
     weights, biases = zip(*((layer["kernel"].T, layer["bias"]) for layer in layers), strict=True)
@@ -50,6 +50,6 @@ def unit_policy(
 
 
 def _stretch(env: Env) -> tuple[jax.Array, jax.Array]:
-    """Middle and half of the actions' range, ``(p,)`` each."""
+    """Return the middle and half the width of the actions' range, each ``(p,)``."""
     low, high = action_range(env)
     return (high + low) / 2.0, (high - low) / 2.0

@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -66,18 +67,14 @@ class Checkpoints:
         self._orbax_logger = logging.getLogger("absl")
         self._orbax_level = self._orbax_logger.level
         self._orbax_logger.setLevel(logging.CRITICAL)  # it logs pages for each error raised
-        try:
-            self._manager = ocp.CheckpointManager(
-                self._directory,
-                options=ocp.CheckpointManagerOptions(
-                    max_to_keep=KEEP,
-                    create=True,
-                    cleanup_tmp_directories=True,  # left by killed processes
-                ),
-            )
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=KEEP,
+            create=True,
+            cleanup_tmp_directories=True,  # left by killed processes
+        )
+        with self._writing():
+            self._manager = ocp.CheckpointManager(self._directory, options=options)
             self._newest = max(self._complete(), default=None)
-        except OSError as error:
-            raise self._cannot_write(error) from error
 
     def __enter__(self) -> "Checkpoints":
         return self
@@ -115,17 +112,15 @@ class Checkpoints:
             return
         self._finish_writing()
         packed = _pack(state)
-        self._require_space(sum(leaf.nbytes for leaf in jax.tree.leaves(packed)))
-        try:
-            self._manager.save(
-                num_done,
-                args=ocp.args.Composite(
-                    state=ocp.args.StandardSave(packed),
-                    about=ocp.args.JsonSave(self._about),
-                ),
-            )
-        except Exception as error:  # of the disk, wrapped by Orbax in various types
-            raise self._cannot_write(error) from error
+        size = sum(leaf.nbytes for leaf in jax.tree.leaves(packed))
+        args = ocp.args.Composite(
+            state=ocp.args.StandardSave(packed), about=ocp.args.JsonSave(self._about)
+        )
+        with self._writing():
+            # On a full disk the threads of Orbax would print tracebacks.
+            if shutil.disk_usage(self._directory).free < size + OVERHEAD:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self._manager.save(num_done, args=args)
         self._newest = num_done
         self._pending = self._thread.submit(self._seal, num_done)
 
@@ -210,28 +205,23 @@ class Checkpoints:
 
     def _finish_writing(self) -> None:
         pending, self._pending = self._pending, None
-        if pending is None:
-            return
+        if pending is not None:
+            with self._writing():
+                pending.result()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn an error of the disk, which Orbax wraps in various types, into a UserError."""
         try:
-            pending.result()
+            yield
         except UserError:
             raise
-        except Exception as error:  # of the disk, wrapped by Orbax in various types
-            raise self._cannot_write(error) from error
-
-    def _require_space(self, size: int) -> None:
-        """Raise UserError if the disk is too full: threads of Orbax would print tracebacks."""
-        try:
-            free = shutil.disk_usage(self._directory).free
-        except OSError as error:
-            raise self._cannot_write(error) from error
-        if free < size + OVERHEAD:
-            raise self._cannot_write(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
-
-    def _cannot_write(self, error: Exception) -> UserError:
-        code = re.search(r"os_error_code='(\d+)'", str(error))  # at the end of a very long line
-        reason = os.strerror(int(code[1])) if code else getattr(error, "strerror", None)
-        return UserError(f"cannot write {self._directory}: {reason or one_line(error)}")
+        except Exception as error:
+            code = re.search(r"os_error_code='(\d+)'", str(error))  # the end of a very long line
+            reason = os.strerror(int(code[1])) if code else getattr(error, "strerror", None)
+            raise UserError(
+                f"cannot write {self._directory}: {reason or one_line(error)}"
+            ) from error
 
 
 def _hashes(directory: Path) -> str:

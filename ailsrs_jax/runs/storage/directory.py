@@ -1,103 +1,21 @@
-"""The directory of a run: the lock on it, and the files that are written during the run."""
+"""The lock on the directory of a run."""
 
 import contextlib
 import errno
 import fcntl
-import json
 import logging
-import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from ailsrs_jax.errors import InUseError, UserError
-from ailsrs_jax.files import PARTIAL, write_atomically
+from ailsrs_jax.files import PARTIAL
 from ailsrs_jax.runs.storage.config import RunConfig, read_config
-from ailsrs_jax.runs.storage.journal import Journal
-from ailsrs_jax.runs.storage.metrics import IterationReport
-from ailsrs_jax.runs.storage.policies import save_policies
 from ailsrs_jax.runs.storage.processes import is_first_process
 
 LOCK = ".lock"
-RESULT_FILE = "result.json"
 
 logger = logging.getLogger(__name__)
-
-
-class RunDirectory:
-    """Writes the journal, the policies and ``result.json`` of a run, but no checkpoints."""
-
-    def __init__(
-        self,
-        path: Path,
-        config: RunConfig,
-        *,
-        command: str | None,
-        expert_returns: np.ndarray | None,
-    ) -> None:
-        """Write to ``path``, which is :func:`claimed`.
-
-        Args:
-            path: the run directory.
-            config: of the run.
-            command: the command line that makes the run again, if there is one.
-            expert_returns: of the demonstrations, if the run has any.
-        """
-        self._path = path
-        self._config = config
-        self._about = {"command": command, "expert_return": _mean_and_std(expert_returns)}
-        self._journal: Journal | None = None
-
-    def begin(self, num_done: int, progress: Mapping[str, Any], track: str | None) -> None:
-        """Open the journal after ``num_done`` iterations, and drop what was written after them.
-
-        Raises:
-            UserError: ``metrics.csv`` or ``seconds.csv`` lacks rows, or cannot be written.
-        """
-        self._journal = Journal(self._path, self._config, num_done, progress["steps"], track)
-
-    def append(self, report: IterationReport, *, to_disk: bool) -> None:
-        """Append an iteration to the journal.
-
-        Raises:
-            UserError: it cannot be written.
-        """
-        assert self._journal is not None
-        self._journal.append(report, to_disk=to_disk)
-
-    def save(self, progress: Mapping[str, Any], *, finished: bool) -> None:
-        """Write the kept policies and ``result.json``.
-
-        Raises:
-            UserError: they cannot be written.
-        """
-        assert self._journal is not None
-        save_policies(progress["state"], self._config, self._path)
-        kept = progress["state"].kept
-        seeds = {}
-        for seed, iteration, score in zip(
-            self._config.seeds, np.asarray(kept.iteration), np.asarray(kept.score), strict=True
-        ):
-            if math.isfinite(score):  # else no policy has had a score yet
-                seeds[str(seed)] = {"kept_iteration": int(iteration), "score": float(score)}
-        steps = {str(seed): int(n) for seed, n in zip(self._config.seeds, progress["steps"])}
-        fields = {"finished": finished, "env_steps": steps, "seconds": self._journal.seconds}
-        text = json.dumps(self._about | fields | {"seeds": seeds}, indent=2)
-        write_atomically(self._path / RESULT_FILE, lambda file: file.write(f"{text}\n".encode()))
-
-    def close(self) -> None:
-        """Close the journal."""
-        if self._journal is not None:
-            self._journal.close()
-
-
-def _mean_and_std(returns: np.ndarray | None) -> dict[str, float] | None:
-    if returns is None:
-        return None
-    return {"mean": float(np.mean(returns)), "std": float(np.std(returns))}
 
 
 @contextlib.contextmanager

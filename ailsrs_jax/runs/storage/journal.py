@@ -1,24 +1,30 @@
-"""Everything that a run appends to after an iteration."""
+"""Everything that a run writes into its directory while it goes, except for checkpoints."""
 
-from collections.abc import Sequence
+import json
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ailsrs_jax.files import write_atomically
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
+from ailsrs_jax.runs.storage.policies import kept_policies
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
-from ailsrs_jax.runs.storage.tracked import Tracker
+from ailsrs_jax.runs.storage.trackers import Tracker
 
+RESULT_FILE = "result.json"
 SECONDS_COLUMNS = ("iteration", "seconds", "compile_seconds")
 
 
 class Journal:
-    """Appends to ``metrics.csv``, ``seconds.csv``, TensorBoard's event files and a tracker.
+    """Appends iterations to all records of a run, and saves what it has found so far.
 
-    Only the two tables can fail. ``seconds.csv`` is apart because a repeated run gives the same
-    ``metrics.csv`` to the last bit. Time for compiling is in the row of the first iteration after
-    it, so that the sum over a resumed run is right.
+    The records are ``metrics.csv``, ``seconds.csv``, TensorBoard's event files and a tracker; only
+    the two tables can fail. The times have a table of their own because a repeated run gives the
+    same ``metrics.csv`` to the last bit. Compilation counts in the row of the iteration after it.
     """
 
     def __init__(
@@ -36,13 +42,13 @@ class Journal:
         """
         done = range(num_done)
         keys = [(iteration, seed) for iteration in done for seed in config.seeds]
-        self._seeds = config.seeds
+        self._directory, self._config = directory, config
         self._metrics = CsvFile(directory / "metrics.csv", keys)
         path = directory / "seconds.csv"
-        self._seconds = CsvFile(path, [(iteration,) for iteration in done])
-        self.seconds = 0.0  # since the start of the run, compilation included
+        self._times = CsvFile(path, [(iteration,) for iteration in done])
+        self._seconds = 0.0  # since the start of the run, compilation included
         if num_done > 0:
-            self.seconds = float(np.sum([*read_metrics(path).values()][1:]))
+            self._seconds = float(np.sum([*read_metrics(path).values()][1:]))
         self._has_compiled = False
         self._events = EventFiles(directory, config, steps)
         self._tracker = Tracker(track, directory) if track is not None else None
@@ -55,20 +61,65 @@ class Journal:
         """
         rows = [
             (report.iteration, seed, *(values[index] for values in report.metrics.values()))
-            for index, seed in enumerate(self._seeds)
+            for index, seed in enumerate(self._config.seeds)
         ]
         self._metrics.append(("iteration", "seed", *report.metrics), rows, to_disk=to_disk)
         compiling = 0.0 if self._has_compiled else report.compile_seconds or 0.0
         self._has_compiled = True
         times = (report.iteration, report.seconds, compiling)
-        self._seconds.append(SECONDS_COLUMNS, [times], to_disk=to_disk)
-        self.seconds += report.seconds + compiling
+        self._times.append(SECONDS_COLUMNS, [times], to_disk=to_disk)
+        self._seconds += report.seconds + compiling
         self._events.append(report, to_disk=to_disk)
         if self._tracker is not None:
             self._tracker.append(report)
 
+    def save(
+        self,
+        progress: Mapping[str, Any],
+        *,
+        command: str | None,
+        expert_returns: np.ndarray | None,
+        finished: bool,
+    ) -> None:
+        """Write the kept policies and ``result.json``.
+
+        Args:
+            progress: ``state``, the training state, and ``steps``, the live steps of each seed.
+            command: the command line that makes the run again, if there is one.
+            expert_returns: of the demonstrations, if the run has any.
+            finished: no iteration is left.
+
+        Raises:
+            UserError: they cannot be written.
+        """
+        state, seeds = progress["state"], self._config.seeds
+        for seed, policy in kept_policies(state, self._config).items():
+            policy.save(self._directory / f"seed_{seed}" / "policy.npz")
+        steps, iterations, scores = (
+            np.asarray(each).tolist()
+            for each in (progress["steps"], state.kept.iteration, state.kept.score)
+        )
+        expert = None
+        if expert_returns is not None:
+            expert = {"mean": float(expert_returns.mean()), "std": float(expert_returns.std())}
+        result = {
+            "command": command,
+            "finished": finished,
+            "env_steps": dict(zip(seeds, steps, strict=True)),
+            "seconds": self._seconds,
+            "expert_return": expert,
+            "seeds": {
+                seed: {"kept_iteration": iteration, "score": score}
+                for seed, iteration, score in zip(seeds, iterations, scores, strict=True)
+                if math.isfinite(score)  # else no policy has had a score yet
+            },
+        }
+        text = json.dumps(result, indent=2)
+        path = self._directory / RESULT_FILE
+        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+
     def close(self) -> None:
-        """Finish the event files, and wait until the tracker has all rows."""
+        """Close the event files, and wait until the tracker has all rows."""
         self._events.close()
         if self._tracker is not None:
             self._tracker.close()

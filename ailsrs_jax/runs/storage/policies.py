@@ -1,6 +1,5 @@
 """Policies of a training state, as they are saved."""
 
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -24,13 +23,3 @@ def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
         seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], policies), config.env_id)
         for index, seed in enumerate(config.seeds)
     }
-
-
-def save_policies(state: Any, config: RunConfig, directory: Path) -> None:
-    """Write the kept policy of each seed into the run directory.
-
-    Raises:
-        UserError: it cannot be written.
-    """
-    for seed, policy in kept_policies(state, config).items():
-        policy.save(directory / f"seed_{seed}" / "policy.npz")

@@ -15,7 +15,7 @@ from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_json_object, require_name
 from ailsrs_jax.own_code import is_own
 from ailsrs_jax.runs.storage.config import read_config, require_current, require_seed
-from ailsrs_jax.runs.storage.directory import RESULT_FILE
+from ailsrs_jax.runs.storage.journal import RESULT_FILE
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.trainers.algorithms import changed_settings, find_algorithm
 

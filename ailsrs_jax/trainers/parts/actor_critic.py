@@ -71,6 +71,7 @@ def require_batches(settings: TrustRegionSettings) -> None:
 
 
 Layers = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]  # weights (out, in), biases (out,)
+Metrics = dict[str, jax.Array]
 
 
 class ActorParameters(struct.PyTreeNode):
@@ -87,6 +88,9 @@ class ActorCritic(struct.PyTreeNode):
     critic: Layers
     critic_optimizer: optax.OptState
     statistics: RunningStatistics  # observations are standardised with them
+
+
+Carry = tuple[ActorCritic, RunningEnvs]  # from one batch of steps to the next
 
 
 def make_actor_critic(
@@ -123,12 +127,8 @@ def gaussian_policy(env: Env, state: ActorCritic) -> MlpPolicy:
 
 def evaluate(
     simulator: Simulator, policy: MlpPolicy, key: jax.Array, settings: TrustRegionSettings
-) -> tuple[Episodes, dict[str, jax.Array]]:
-    """Simulate episodes of the Gaussian's mean and as many with drawn actions.
-
-    Returns:
-        The episodes of the mean, and the metrics of both.
-    """
+) -> tuple[Episodes, Metrics]:
+    """Return episodes of the Gaussian's mean, and metrics that include some with drawn actions."""
     num_episodes = settings.num_evaluation_episodes
     noise_key, reset_key = jax.random.split(key)
     shape = (num_episodes, settings.episode_length, simulator.env.action_size)
@@ -151,41 +151,35 @@ def evaluate(
 
 def collect_and_improve(
     env: Env,
-    state: ActorCritic,
-    running: RunningEnvs,
+    carry: Carry,
     rewards: Callable[[Steps], jax.Array],
     key: jax.Array,
     settings: TrustRegionSettings,
-) -> tuple[ActorCritic, RunningEnvs, Steps, dict[str, jax.Array]]:
-    """Collect a batch of steps with the policy, and :func:`improve` it by their ``rewards``."""
+    *,
+    merges_states: bool = True,
+) -> tuple[Carry, Steps, Metrics]:
+    """Collect a batch of steps with the policy, and :func:`improve` it by their ``rewards``.
+
+    With ``merges_states``, the next steps are standardised with the statistics of these, too.
+    """
+    state, running = carry
     collect_key, improve_key = jax.random.split(key)
-    running, steps = collect(
-        env,
-        gaussian_policy(env, state),
-        running,
-        collect_key,
-        settings.batch_size // settings.num_envs,
-        settings.episode_length,
-    )
+    num_steps = settings.batch_size // settings.num_envs
+    policy = gaussian_policy(env, state)
+    running, steps = collect(env, policy, running, collect_key, num_steps, settings.episode_length)
     state, metrics = improve(state, steps, rewards(steps), improve_key, settings)
-    return state, running, steps, metrics | steps.counts()
+    if merges_states:
+        statistics = normalizer.update(state.statistics, steps.observations, ~steps.copied)
+        state = state.replace(statistics=statistics)
+    return (state, running), steps, metrics | steps.counts()
 
 
-def merge_states(state: ActorCritic, steps: Steps) -> ActorCritic:
-    """Merge the observations into the statistics that the next steps are standardised with."""
-    return state.replace(
-        statistics=normalizer.update(state.statistics, steps.observations, ~steps.copied)
-    )
-
-
-def over_updates(metrics: dict[str, jax.Array]) -> dict[str, jax.Array]:
+def over_updates(metrics: Metrics) -> Metrics:
     """Combine the stacked metrics of several updates: sums of counts, means of the rest."""
     return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
 
 
-def with_evaluation(
-    metrics: dict[str, jax.Array], evaluated: dict[str, jax.Array]
-) -> dict[str, jax.Array]:
+def with_evaluation(metrics: Metrics, evaluated: Metrics) -> Metrics:
     """Combine the ``metrics`` of an iteration's updates with those of its evaluation."""
     return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
 
@@ -196,7 +190,7 @@ def improve(
     rewards: jax.Array,
     key: jax.Array,
     settings: TrustRegionSettings,
-) -> tuple[ActorCritic, dict[str, jax.Array]]:
+) -> tuple[ActorCritic, Metrics]:
     """Take one step of the policy in its trust region, then fit the value function.
 
     Args:
@@ -237,7 +231,7 @@ def _improve_actor(
     actions: jax.Array,
     advantages: jax.Array,
     settings: TrustRegionSettings,
-) -> tuple[ActorParameters, dict[str, jax.Array]]:
+) -> tuple[ActorParameters, Metrics]:
     advantages = (advantages - advantages.mean()) / jnp.maximum(advantages.std(), 1e-8)
     means = perceptron(*actor.layers, observations)
     log_density = trust_region.gaussian_log_density(actions, means, actor.log_std)

@@ -1,4 +1,4 @@
-"""Checkpoints on disks and in processes that fail."""
+"""Checkpoints on disks that fail and in processes that are killed."""
 
 import logging
 import os
@@ -34,7 +34,7 @@ def write(directory: Path, *values: int) -> None:
 
 
 def read(directory: Path) -> tuple[int, float]:
-    """Iterations done and what the state of that time holds, which should be the same."""
+    """Return the iterations done and the number in the state, which should be equal."""
     with Checkpoints(directory, 1) as checkpoints:
         num_done, state, _ = checkpoints.restore(make_state())
     assert int(state["steps"][0]) - 2**40 == jax.random.key_data(state["key"])[-1] == num_done
@@ -61,7 +61,7 @@ def test_the_last_two_are_kept_and_can_be_checked_by_hand(three: Path) -> None:
 
 
 def damages(directory: Path) -> dict[str, Any]:
-    """Ways to damage a checkpoint, each a function of no arguments."""
+    """Return functions without arguments that each damage a checkpoint in one way."""
     files = [path for path in sorted(directory.rglob("*")) if path.is_file()]
     assert len(files) > 10
 
@@ -78,7 +78,7 @@ def damages(directory: Path) -> dict[str, Any]:
     for index, path in enumerate(path for path in files if path.stat().st_size):
         way = ways[index % len(ways)]
         if path.name == HASHES:
-            way = flip  # without any, it would be one that was never finished
+            way = flip  # without hashes the checkpoint would count as unfinished
         found[str(path)] = lambda path=path, way=way: way(path)
     return found
 
@@ -86,15 +86,15 @@ def damages(directory: Path) -> dict[str, Any]:
 def test_a_damaged_file_of_the_newest_is_noticed(
     three: Path, tmp_path: Path, caplog, capfd
 ) -> None:
-    """Whichever file it is, and however: the one before is used, and one line says so."""
+    """Damage to any file in any way means one warning, and the previous checkpoint is used."""
     for number in range(len(damages(three / "3"))):
         copy = Path(shutil.copytree(three, tmp_path / str(number)))
         list(damages(copy / "3").values())[number]()
         caplog.clear()
         assert read(copy) == (2, 2.0)
         (record,) = caplog.records
-        assert record.getMessage() == f"checkpoint 3 in {copy} is damaged: going on from 2"
-        write(copy, 3)  # as the run that goes on does
+        assert record.getMessage() == f"checkpoint 3 in {copy} is damaged: resuming from 2"
+        write(copy, 3)  # as the resumed run does
         assert read(copy) == (3, 3.0)
     assert capfd.readouterr().err == ""
 
@@ -102,7 +102,7 @@ def test_a_damaged_file_of_the_newest_is_noticed(
 def test_none_that_can_be_read_is_an_error_and_nothing_is_removed(copy: Path, capfd) -> None:
     for number in (2, 3):
         (copy / str(number) / HASHES).write_text("")
-    with pytest.raises(UserError, match="delete them to begin anew") as caught:
+    with pytest.raises(UserError, match="delete them to start over") as caught:
         read(copy)
     assert len(str(caught.value).splitlines()) == 1
     assert sorted(path.name for path in copy.iterdir()) == ["2", "3"]
@@ -162,7 +162,7 @@ def test_numbers_tell_the_newest_whatever_the_clock_says(tmp_path: Path, monkeyp
 
 @pytest.fixture
 def small_files() -> Any:
-    """No file may grow beyond 2 kB, which is what a full disk looks like in the middle of one."""
+    """Limit files to 2 kB, so that writing fails in the middle of one as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
     yield
@@ -178,7 +178,9 @@ def write_noise(directory: Path, *values: int, then: BaseException | None = None
             raise then
 
 
-@pytest.mark.parametrize("values", [(1,), (1, 2)])  # known at the end, or before the next
+@pytest.mark.parametrize(
+    "values", [(1,), (1, 2)]
+)  # the error is noticed at the end, or at the next save
 def test_what_cannot_be_written_is_told(small_files, values: tuple[int, ...], tmp_path) -> None:
     with pytest.raises(UserError, match=r"cannot write .*: File too large"):
         write_noise(tmp_path, *values)

@@ -1,4 +1,4 @@
-"""Runs in processes that are killed, interrupted, started twice, and told to go on."""
+"""Runs in processes that are killed, interrupted, started twice and resumed."""
 
 import itertools
 import os
@@ -24,14 +24,14 @@ from tests.runs import toy_run
 
 NUM_KILLS = 50
 NUM_ITERATIONS = 1500  # more than a fast machine does between the kills
-MANY = 100_000  # more than anybody waits for
+MANY = 100_000  # never reached
 
 
 @pytest.fixture
 def start(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a toy run; whatever still runs in the end is killed."""
+    """Return a function that starts a toy run; runs that are left at the end are killed."""
     cache = tmp_path_factory.getbasetemp() / "cache"
     processes = []
 
@@ -68,13 +68,13 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def wait_until(process: subprocess.Popen[str], condition: Callable[[], bool]) -> None:
-    """Look until it is so, or the process has ended."""
+    """Wait until the condition holds or the process has ended."""
     while process.poll() is None and not condition():
         time.sleep(0.0005)
 
 
 def num_rows(output: Path) -> int:
-    """Rows of ``metrics.csv``, and a header, as far as they have been written."""
+    """Count the complete lines of ``metrics.csv``, header included."""
     path = output / "metrics.csv"
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
@@ -103,7 +103,7 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     assert code == 128 + signal.SIGTERM
     assert errors.startswith("\nSIGTERM: stopping after this iteration; once more to stop at once")
     assert "Traceback" not in errors
-    # The one of the first iteration, and where it was told to stop.
+    # There is a checkpoint of the first iteration, and one of where it was stopped.
     done = (num_rows(output) - 1) // 2
     assert newest_state(output)[0] == done > 3
     assert load_policy(output / "seed_5" / "policy.npz").env_id == "PointMass"
@@ -111,17 +111,17 @@ def test_signals_save_and_a_second_one_ends_at_once(start, tmp_path: Path) -> No
     begun = (output / "metrics.csv").stat().st_mtime_ns
     process = start(output, MANY, MANY, algorithm="ars")
     wait_until(process, lambda: (output / "metrics.csv").stat().st_mtime_ns > begun)
-    process.send_signal(signal.SIGINT)  # while it compiles, in which Python handles no signal
+    process.send_signal(signal.SIGINT)  # Python handles no signals while XLA compiles
     process.send_signal(signal.SIGTERM)
     code, errors = finish(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM)
     assert "stopping after this iteration" in errors
-    # The second may have come before the first was acted on, or one iteration later.
+    # The second signal may arrive before or after the iteration in which the first takes effect.
     newest = newest_state(output)[0]
     assert newest in (done, done + 1)
     assert (num_rows(output) - 1) // 2 in (newest, newest + 1)
     with claimed(output, toy_run.plan(MANY, "ars").config, resume=True):
-        pass  # nothing of them is left that would hold it
+        pass  # no process holds the lock any more
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_killed_fifty_times_is_bitwise_the_same(start, tmp_path: Path) -> None:
                 lambda end=end, target=target: time.monotonic() > end or num_rows(output) >= target,
             )
         else:
-            # Rows that were lost are written again first.
+            # The process first repeats the rows after its checkpoint.
             wait_until(process, lambda target=target: num_rows(output) >= target)
         if moment == "saving":
             wait_until(process, is_saving)
@@ -188,7 +188,7 @@ def test_killed_fifty_times_is_bitwise_the_same(start, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_devices_may_come_and_go(start, tmp_path: Path) -> None:
-    """From one to two and back: the numbers differ by rounding only."""
+    """Resume on two devices, and on one again: the numbers differ by rounding only."""
     alone, output = tmp_path / "alone", tmp_path / "output"
     assert finish(start(alone, 9, 3))[0] == 0
     for number, devices in enumerate((1, 2, 1)):

@@ -1,4 +1,4 @@
-"""The trackers' own libraries, offline, where they are installed."""
+"""The trackers' own clients, offline, if they are installed."""
 
 import json
 import struct
@@ -21,9 +21,9 @@ def plan() -> Plan:
 
 
 def test_trackio_itself(plan: Plan, tmp_path: Path, monkeypatch, caplog) -> None:
-    pytest.importorskip("trackio")
     output = tmp_path / "run"
-    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))  # read when it is imported
+    pytest.importorskip("trackio")
     with pytest.raises(KilledError):
         toy_run.run(plan, output, track="trackio", watch=kill_at(6))
     toy_run.run(plan, output, track="trackio", resume=True)
@@ -75,7 +75,7 @@ def test_weights_and_biases_itself(plan: Plan, tmp_path: Path, monkeypatch, capl
 
 
 def offline_history(path: Path) -> list[dict[str, Any]]:
-    """The rows of an offline run: records in the blocks of LevelDB's log format."""
+    """Read the rows of an offline run, which are records in LevelDB's log format."""
     from wandb.proto.wandb_internal_pb2 import Record
 
     content, position, parts, rows = path.read_bytes(), 7, b"", []
@@ -87,7 +87,7 @@ def offline_history(path: Path) -> list[dict[str, Any]]:
         size, kind = struct.unpack("<xxxxHB", content[position : position + 7])
         parts += content[position + 7 : position + 7 + size]
         position += 7 + size
-        if kind in (1, 4):  # the whole of a record, or the last part
+        if kind in (1, 4):  # a whole record, or its last part
             record, parts = Record.FromString(parts), b""
             if record.HasField("history"):
                 items = record.history.item

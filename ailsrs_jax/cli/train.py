@@ -1,0 +1,199 @@
+"""The command ``ailsrs train``."""
+
+import dataclasses
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from ailsrs_jax.cli.arguments import (
+    Count,
+    EnvName,
+    Every,
+    Flag,
+    OptionalPath,
+    PhysicsName,
+    Seeds,
+    Settings,
+    TrackerName,
+    assignments,
+)
+from ailsrs_jax.cli.terminal import (
+    TERMINAL,
+    Terminal,
+    TerminalOptions,
+    evaluation_fields,
+    this_command,
+)
+from ailsrs_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from ailsrs_jax.runs.loop import Result
+
+AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
+Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
+
+
+def train(
+    env: Positional[EnvName],
+    algorithm: AlgorithmName = "ailsrs",
+    demonstrations: Source = None,
+    num_trajectories: Count = None,
+    subsample: Every = 1,
+    seeds: Seeds = (),
+    iterations: Count = None,
+    preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
+    settings: Settings = (),
+    physics: PhysicsName = "auto",
+    rollout_batch_size: Count = None,
+    output: OptionalPath = None,
+    resume: Flag = False,
+    checkpoint_every: Every = 10,
+    track: TrackerName = None,
+    distributed: Flag = False,
+    terminal: TerminalOptions = TERMINAL,
+) -> None:
+    """Train a policy to imitate demonstrations, or on the environment's reward.
+
+    Example: ailsrs train hopper --num-trajectories 10 --seeds 0 1 2
+
+    Example: ailsrs train hopper --demonstrations mine.npz --set noise_std=0.02 --output runs/mine
+
+    Args:
+        algorithm: ailsrs, bc (behaviour cloning) and gail imitate; ars, brs (augmented and basic
+            random search) and trpo learn from the environment's reward.
+        demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library; by
+            default the shipped expert of the task. expert:paper is an expert with the return of
+            the paper's.
+        num_trajectories: Use the first N episodes; by default 10 of the shipped expert, else all.
+        subsample: Train on every K-th step of each episode, from a random step on.
+        seeds: Random seeds, from 0, trained together as one batched program, as in --seeds 0 1 2;
+            by default 0.
+        iterations: Number of iterations; by default the preset's.
+        preset: Settings that work on the task, or those of the algorithm's paper.
+        rollout_batch_size: Simulations at a time on each device, in random search; fewer need less
+            memory. By default all, or as many as are fastest.
+        output: The run directory to write; by default runs/ENV-DATE-TIME.
+        resume: Continue from the newest checkpoint in the output directory.
+        checkpoint_every: Save the whole state every K iterations.
+        distributed: Share one run among the devices of all processes of a SLURM, Open MPI,
+            Kubernetes or Cloud TPU job; start each process with this same command.
+    """
+    from ailsrs_jax.cli.progress import RunProgress
+    from ailsrs_jax.cli.signals import StopSignals
+    from ailsrs_jax.runs import loop
+    from ailsrs_jax.runs.plan import plan
+    from ailsrs_jax.runs.spec import RunSpec
+    from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
+    from ailsrs_jax.runs.storage.trackers import require_tracker
+    from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
+    from ailsrs_jax.trainers.parts.settings import parse
+
+    if resume and output is None:
+        raise UserError("--resume needs --output, the directory of the run to continue")
+    if distributed:
+        if output is None:
+            raise UserError("--distributed needs --output, a directory that all processes see")
+        if not find_algorithm(algorithm).shares_devices:
+            raise UserError(f"--distributed: {algorithm} has no directions to share")
+        join_processes()
+        terminal = dataclasses.replace(terminal, quiet=terminal.quiet or not is_first_process())
+    require_tracker(track)
+    changes = assignments(settings)
+    if iterations is not None:
+        changes = {"num_iterations": str(iterations)} | changes
+    spec = RunSpec(
+        env=env,
+        demonstrations=demonstrations,
+        algorithm=algorithm,
+        num_trajectories=num_trajectories,
+        subsample=subsample,
+        seeds=[seed for group in seeds for seed in group] or [0],
+        preset=preset,
+        settings=parse(preset_settings(env, preset, algorithm), changes),
+        physics=physics,
+        rollout_batch_size=rollout_batch_size,
+    )
+    planned = plan(spec)
+    config = planned.config
+    continue_by = [] if resume else ["--resume"]
+    if output is None:
+        name = env.replace(":", ".")  # colons are special on Windows and to scp
+        output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        continue_by = ["--output", str(output), "--resume"]
+    learns_from = "the environment's reward"
+    if config.num_trajectories:
+        learns_from = f"{config.num_trajectories} demonstrations {config.source}"
+    named = " ".join(map(str, config.seeds))
+    terminal.line(
+        f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · "
+        f"seeds {named}\nphysics {config.physics} ({planned.physics_reason}) · "
+        f"devices: {planned.simulator.num_devices} · {output}"
+    )
+    stop = StopSignals()
+    try:
+        with stop, RunProgress(terminal.console) as progress:
+            (result,) = loop.execute(
+                [planned],
+                [output],
+                resume=resume,
+                checkpoint_every=checkpoint_every,
+                track=track,
+                watch=progress,
+                stop=stop,
+            )
+    except KeyboardInterrupt:
+        if is_first_process():
+            print(f"saved; continue with:\n{this_command(*continue_by)}", file=sys.stderr)
+        sys.exit(128 + (stop.received or signal.SIGINT))
+    assert isinstance(result, loop.Result)  # a single run raises its error
+    if is_first_process():
+        report_result(result, output, physics, terminal)
+
+
+def report_result(result: "Result", output: Path, physics: str, terminal: Terminal) -> None:
+    """Evaluate the kept policies, print their returns and draw the training curve."""
+    from ailsrs_jax.runs.evaluation import evaluate
+
+    table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
+    fields: list[dict[str, Any]] = []
+    for seed, policy in result.policies.items():
+        if terminal.quiet and not terminal.as_json:
+            break
+        evaluation = evaluate(policy, physics=physics)
+        kept, returns, drawn = result.kept_iterations[seed], str(evaluation), None
+        if policy.is_stochastic:
+            sampled = evaluate(policy, physics=physics, stochastic=True)
+            returns, drawn = f"{returns} (actions sampled: {sampled})", evaluation_fields(sampled)
+        table.add_row(str(seed), str(kept), returns)
+        file = str(output / f"seed_{seed}" / "policy.npz")
+        row = {"seed": seed, "kept_iteration": kept, "policy": file}
+        fields.append(row | evaluation_fields(evaluation) | {"drawn": drawn})
+    expert = None
+    if result.expert_returns is not None:
+        expert = float(result.expert_returns.mean()), float(result.expert_returns.std())
+        table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}", style="dim")
+    terminal.console.print(table)
+    try:
+        from ailsrs_jax.show.curves import plot_training_curve
+
+        plot_training_curve(output)
+    except ImportError:
+        terminal.line("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
+    terminal.line(f"policies, metrics and training curve are in {output}")
+    config = result.config
+    terminal.json(
+        {
+            "output": str(output),
+            "env_id": config.env_id,
+            "physics": config.physics,
+            "algorithm": config.algorithm,
+            "seeds": fields,
+            "expert_return_mean": expert and expert[0],
+            "expert_return_std": expert and expert[1],
+        }
+    )

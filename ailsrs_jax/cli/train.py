@@ -65,7 +65,7 @@ def train(
 
     Args:
         algorithm: ailsrs, bc (behaviour cloning) and gail imitate; ars, brs (augmented and basic
-            random search) and trpo learn from the environment's reward.
+            random search) and trpo learn from the environment's reward; or your own.
         demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library; by
             default the shipped expert of the task. expert:paper is an expert with the return of
             the paper's.

@@ -19,7 +19,7 @@ SHADOW_SIZE = 2048  # on a CPU MuJoCo's default of 4096 takes a third of the tim
 # Everything that a picture depends on. Forces are left out: MuJoCo could warn about them.
 SEEN = (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight, mujoco.mj_tendon)
 
-# Without a driver an installed library can still fail or end the process, so another one tries it.
+# Without a driver an installed library can fail or end the process, so a second process tries it.
 TRIAL = """
 import mujoco
 with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
@@ -63,7 +63,7 @@ def _renders(name: str) -> bool:
 def pictures(replay: Replay, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
     """Yield the poses after each of ``steps`` steps as ``(size, size, 3)`` uint8.
 
-    The first camera of the model sees them, or else the free camera of MuJoCo's viewer.
+    They are seen by the model's first camera, or by the viewer's free camera if it has none.
 
     Raises:
         UserError: there is no renderer.

@@ -70,14 +70,14 @@ def read_sweep_spec(path: Path) -> object:
 def make_sweep(draw: st.DrawFn, path: Path) -> None:
     """The directory of a shard: its grid, the result of its cell, and the cell's metrics."""
     from ailsrs_jax.runs.spec import RunSpec
-    from ailsrs_jax.sweeps.cells import Cell
+    from ailsrs_jax.sweeps.cells import Cell, Sweep
 
-    spec = RunSpec("Hopper-v5", algorithm="ars", settings={"noise_std": 1.0})
-    cell = dataclasses.asdict(Cell("a-seed0", "A", spec, {"num_directions": 3}, "mjx", "1a", None))
+    spec = RunSpec("Hopper-v5", algorithm="ars")
+    cell = Cell("a-seed0", "A", spec, {"noise_std": 1.0}, "mujoco", "abc", None)
     row = {"cell": "a-seed0", "status": "done", "return_mean": 1.0}
     timing = {"cell": "a-seed0", "train_seconds": 1.0}
     files: dict[str, Any] = {
-        "sweep.json": {"cells": [cell], "episodes": 3},
+        "sweep.json": dataclasses.asdict(Sweep((cell,), 3)),
         "cells/a-seed0/row.json": {"row": row, "timing": timing},
         "cells/a-seed0/metrics.csv": [["iteration", "seed", "env_steps"], [0, 0, 10], [1, 0, 20]],
     }

@@ -119,6 +119,7 @@ def test_a_run(tmp_path: Path) -> None:
         f"AILSRS on {POINT_MASS}",
         "8 demonstrations mine.npz · preset tuned · physics none",
         f"return {evaluation.mean:.0f} of one seed",
+        "expert -20 return of the demonstrations",
         "environment steps 3.00 M",
         "iterations 3 of 100",
         # The smallest distance; of seed 3 the second is NaN, so it is the third.

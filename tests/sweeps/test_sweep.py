@@ -214,7 +214,7 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, *arguments) == 1
     said = capsys.readouterr()
     assert f"{cell} failed: cannot resume out/cells/{cell}: settings.episode_length" in said.err
-    assert "1 of 2 failed; the same command tries them again" in said.err
+    assert "1 of 2 cells failed; the same command tries them again" in said.err
     assert "1 of 2 cells done; table.md" in said.out
     assert ailsrs(monkeypatch, *arguments, "--quiet") == 1
     said = capsys.readouterr()

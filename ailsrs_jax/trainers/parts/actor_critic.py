@@ -21,11 +21,8 @@ from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, collect
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
-
 COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
-
-# The curvature needs far fewer samples than the gradient: it takes every fifth.
-FISHER_STRIDE = 5
+FISHER_STRIDE = 5  # the curvature is estimated from every fifth sample, the gradient from all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,10 +155,7 @@ def collect_and_improve(
     *,
     merges_states: bool = True,
 ) -> tuple[Carry, Steps, Metrics]:
-    """Collect a batch of steps with the policy, and :func:`improve` it by their ``rewards``.
-
-    With ``merges_states``, the next steps are standardised with the statistics of these, too.
-    """
+    """Collect a batch of steps, :func:`improve` the policy, and merge the statistics if asked."""
     state, running = carry
     collect_key, improve_key = jax.random.split(key)
     num_steps = settings.batch_size // settings.num_envs
@@ -198,7 +192,7 @@ def improve(
         steps: ``(T, S)`` steps.
         rewards: ``(T, S)``, the environment's or a discriminator's.
         key: of the value function's minibatches.
-        settings: the settings.
+        settings: of the step and of the fit.
     """
     mean, std = state.statistics.mean, state.statistics.std
     observations = (steps.observations - mean) / std

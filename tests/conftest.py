@@ -1,6 +1,8 @@
 """Fixtures for all tests."""
 
+import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,14 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from tests.point_mass import PointMass, point_mass_demonstrations
 
 jax.config.update("jax_num_cpu_devices", 4)  # for the tests of many devices; the first is enough
+
+# All workers, and the processes that they start, share what they compile: many tests train the same
+# small program.
+CACHE = Path(tempfile.gettempdir()) / f"ailsrs_jax-tests-{os.getuid()}"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 @pytest.fixture(scope="session")

@@ -166,8 +166,9 @@ def assert_agree(env: MujocoTask, steps: Steps, tolerance: float) -> np.ndarray:
     return np.abs(physics_state.qvel - steps.next_qvel)
 
 
-# These take long to compile on MJX.
-SLOW = [("Ant-v5", "mjx"), ("Humanoid-v5", "mjx")]
+# These take long to compile on MJX. The others are a task with contacts, and one with another
+# integrator in a fluid.
+SLOW = [(f"{name}-v5", "mjx") for name in ("Ant", "Hopper", "Humanoid", "Walker2d")]
 EVERYWHERE = pytest.mark.parametrize(
     ("env_id", "physics"),
     [

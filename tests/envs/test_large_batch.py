@@ -3,8 +3,11 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import jax
+import pytest
 from ailsrs_jax.envs.registry import make_env
 
 env = make_env("halfcheetah", "mjx")
@@ -16,5 +19,6 @@ assert bool(jax.numpy.isfinite(state.obs).all())
 """
 
 
+@pytest.mark.slow
 def test_1280_environments_do_not_deadlock() -> None:
     subprocess.run([sys.executable, "-c", PROGRAM], check=True, timeout=240)

@@ -79,6 +79,7 @@ def run(program: str, env: str, physics: str = "mujoco") -> None:
     subprocess.run(command, check=True, timeout=600)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", ["hopper", "ant"])  # one task for each pool of threads
 def test_the_c_engine_survives(env: str) -> None:
     run(ANY_NUMBER + MANY_EPISODES + FORK + INTERRUPT, env)

@@ -1,11 +1,13 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from mujoco import mjx
 
 from ailsrs_jax.envs.registry import make_env
 
 
+@pytest.mark.slow
 def test_two_steps_are_those_of_mjx() -> None:
     """Checks the Runge-Kutta loop and the state carried from step to step."""
     engine = make_env("swimmer", "mjx").physics

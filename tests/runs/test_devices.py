@@ -19,9 +19,10 @@ print(jax.local_device_count(), jax.config.values["jax_compilation_cache_dir"])
 
 
 def set_up(**environment: str) -> list[str]:
+    inherited = {name: x for name, x in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     result = subprocess.run(
         [sys.executable, "-c", REPORT],
-        env=os.environ | environment,
+        env=inherited | environment,
         check=True,
         capture_output=True,
         text=True,

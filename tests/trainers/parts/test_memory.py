@@ -15,7 +15,9 @@ from tests.point_mass import WidePointMass, wide_demonstrations
 SETTINGS = AilsrsSettings(episode_length=500)
 
 
-@pytest.mark.parametrize("standardize_with", ["running", "expert"])
+@pytest.mark.parametrize(
+    "standardize_with", ["running", pytest.param("expert", marks=pytest.mark.slow)]
+)
 def test_trajectories_are_held_once(standardize_with: str) -> None:
     demonstrations = wide_demonstrations()
     settings = dataclasses.replace(SETTINGS, standardize_with=standardize_with)

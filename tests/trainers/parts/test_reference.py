@@ -68,5 +68,5 @@ def test_states_alone_are_compared_where_actions_are_not_known() -> None:
 
 def test_demonstrations_that_cannot_be_compared() -> None:
     demonstrations = episodes(4, seed=0)
-    with pytest.raises(UserError, match=r"every 20th step .* at least that, not 10"):
+    with pytest.raises(UserError, match=r"every 20th step .* is 10, it must be at least 20"):
         make_reference(demonstrations.subsample(20), 10, 10)

@@ -7,6 +7,7 @@ from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.exploration import Exploration
 from ailsrs_jax.trainers.parts.rollout import simulate
 from tests.point_mass import PointMass
 
@@ -39,10 +40,11 @@ def test_against_a_plain_loop(limit: int, point_mass: PointMass) -> None:
             length += 1
         assert int(result.lengths[index]) == length
         np.testing.assert_allclose(result.env_returns[index], total, rtol=1e-3)
-        assert result.alive_from(0)[index].sum() == length
         for buffer in (result.observations, result.actions, result.env_rewards):
             assert not buffer[index, length:].any()
     assert int(result.env_steps) == int(result.lengths.sum())
+    learned_from = Exploration(result, num_evaluations=1).alive.sum(axis=1)
+    np.testing.assert_array_equal(learned_from, [0, *result.lengths[1:]])
     assert (int(result.lengths[1]) == limit) == (limit == 10)  # a push leaves the field after 10
 
 
@@ -51,12 +53,12 @@ def test_vmap_is_the_same_as_one_by_one(point_mass: PointMass) -> None:
     policies = jax.vmap(constant_force)(forces)
     keys = jax.random.split(jax.random.key(0), (3, 2))
 
-    def simulate(policies: LinearPolicy, keys: jax.Array) -> Episodes:
+    def short(policies: LinearPolicy, keys: jax.Array) -> Episodes:
         return simulate(point_mass, policies, keys, 30)
 
-    together = jax.jit(jax.vmap(simulate))(policies, keys)
+    together = jax.jit(jax.vmap(short))(policies, keys)
     for index in range(3):
-        alone = jax.jit(simulate)(jax.tree.map(lambda x, i=index: x[i], policies), keys[index])
+        alone = jax.jit(short)(jax.tree.map(lambda x, i=index: x[i], policies), keys[index])
         for name in ("observations", "actions", "env_rewards", "lengths"):
             mine = getattr(together, name)[index]
             np.testing.assert_allclose(mine, getattr(alone, name), atol=1e-6)

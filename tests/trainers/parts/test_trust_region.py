@@ -39,7 +39,9 @@ def test_trpo_learns_from_the_reward(point_mass: PointMass) -> None:
     assert metrics["action_std"][-1] < metrics["action_std"][0] == 1.0
 
 
-@pytest.mark.parametrize("sees", ["state_action", "state_next_state"])
+@pytest.mark.parametrize(
+    "sees", ["state_action", pytest.param("state_next_state", marks=pytest.mark.slow)]
+)
 def test_gail_imitates(sees: str, point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
     settings = GailSettings(
         **SMALL,

@@ -68,6 +68,7 @@ def test_its_directions_are_orthogonal_and_its_weights_decay(my_file: Path) -> N
     np.testing.assert_allclose(still, 0.999)
 
 
+@pytest.mark.slow
 def test_it_is_in_a_sweep(my_file: Path) -> None:
     grid = {"algorithm": NAME, "settings": {"weight_decay": [0.0, 0.1]}}
     spec = {

@@ -64,6 +64,7 @@ def test_seeds_under_vmap_equal_separate_runs(trainer: Ailsrs) -> None:
             np.testing.assert_allclose(metrics[name][index], values, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_settings_may_be_traced(
     point_mass: PointMass, point_mass_expert: Demonstrations, trainer: Ailsrs
 ) -> None:

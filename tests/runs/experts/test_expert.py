@@ -43,15 +43,10 @@ class Shifted(PointMass):
         return super().step(state, (jnp.clip(action, 1.0, 5.0) - 3.0) / 2.0)
 
 
-BOTH = pytest.mark.parametrize(
-    "env",
-    [
-        pytest.param(PointMass(), id="unit actions", marks=pytest.mark.slow),
-        pytest.param(Shifted(), id="other actions"),
-    ],
-)
+BOTH = pytest.mark.parametrize("env", [PointMass(), Shifted()], ids=["unit actions", "other"])
 
 
+@pytest.mark.slow
 @BOTH
 def test_ppo_learns_and_its_mean_is_what_is_saved(env: PointMass, tmp_path: Path) -> None:
     reports: list[Any] = []
@@ -79,6 +74,7 @@ def test_it_stops_at_a_level() -> None:
     assert isinstance(expert, ail.SavedMlpPolicy)
 
 
+@pytest.mark.slow
 @BOTH
 def test_evolution_learns_and_its_last_policy_is_saved(env: PointMass, tmp_path: Path) -> None:
     reports: list[Any] = []

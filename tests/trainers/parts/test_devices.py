@@ -91,6 +91,7 @@ def test_episodes_are_the_same_bits(point_mass: PointMass, alone: Ailsrs, count:
         np.testing.assert_array_equal(getattr(episodes, name), getattr(expected, name))
 
 
+@pytest.mark.slow
 def test_a_state_saved_from_many_devices_continues_on_one(alone: Ailsrs, tmp_path: Path) -> None:
     many = moved(alone, 4)
     place = many.simulator.everywhere

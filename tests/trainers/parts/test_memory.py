@@ -15,9 +15,8 @@ from tests.point_mass import WidePointMass, wide_demonstrations
 SETTINGS = AilsrsSettings(episode_length=500)
 
 
-@pytest.mark.parametrize(
-    "standardize_with", ["running", pytest.param("expert", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("standardize_with", ["running", "expert"])
 def test_trajectories_are_held_once(standardize_with: str) -> None:
     demonstrations = wide_demonstrations()
     settings = dataclasses.replace(SETTINGS, standardize_with=standardize_with)

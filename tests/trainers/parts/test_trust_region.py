@@ -39,9 +39,8 @@ def test_trpo_learns_from_the_reward(point_mass: PointMass) -> None:
     assert metrics["action_std"][-1] < metrics["action_std"][0] == 1.0
 
 
-@pytest.mark.parametrize(
-    "sees", ["state_action", pytest.param("state_next_state", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("sees", ["state_action", "state_next_state"])
 def test_gail_imitates(sees: str, point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
     settings = GailSettings(
         **SMALL,

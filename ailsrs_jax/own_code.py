@@ -61,7 +61,7 @@ def own_function(name: str) -> Callable[..., Any]:
     """Return the function ``module:attribute``, whose exceptions become UserErrors."""
     function = load_own(name)
     if not callable(function):
-        raise UserError(f"{name} is a {type(function).__name__}: it must be a function")
+        raise UserError(f"{name} is of type {type(function).__name__}: it must be a function")
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:

@@ -94,7 +94,11 @@ MISTAKES = {
     "an exception as it is imported": ("import ailsrs_jax as ail", "1 / 0", "ZeroDivisionError"),
     "a wrong signature": ("def make(simulator, ", "def make(", "TypeError: make() takes 2"),
     "an exception in a method": ("flat = deltas.", "flat = deltaz.", "NameError: name 'deltaz'"),
-    "something else than an algorithm": ("my_algorithm =", "my_algorithm = 3\nother =", "is a int"),
+    "something else than an algorithm": (
+        "my_algorithm =",
+        "my_algorithm = 3\nother =",
+        "is of type int",
+    ),
     "a wrong shape": ("* weights", "* weights[:1, :1]", "changes the shape or type"),
 }
 

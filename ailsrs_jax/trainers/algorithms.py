@@ -50,7 +50,7 @@ def find_algorithm(name: str) -> Algorithm:
     algorithm = load_own(name)
     if not isinstance(algorithm, Algorithm):
         kind = type(algorithm).__name__
-        raise UserError(f"{name} is a {kind}: it must be an ailsrs_jax.Algorithm")
+        raise UserError(f"{name} is of type {kind}: it must be an ailsrs_jax.Algorithm")
     return algorithm
 
 

@@ -124,6 +124,7 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / link).exists(), link
 
 
+@pytest.mark.slow
 def test_a_task_of_ones_own(in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     Path("slider.xml").write_text(blocks(OWN_TASK, "xml")[0])
     Path("my_tasks.py").write_text(blocks(OWN_TASK, "python")[0])

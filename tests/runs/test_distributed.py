@@ -72,7 +72,8 @@ def finish(process: subprocess.Popen[str]) -> str:
     return output
 
 
-@pytest.mark.parametrize("algorithm", ["ars", pytest.param("ailsrs", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["ars", "ailsrs"])
 def test_two_processes_are_one_run(algorithm: str, tmp_path: Path) -> None:
     recorded = point_mass_demonstrations(PointMass()).replace(env_id=ENV_ID)
     save_demonstrations(recorded, tmp_path / "point_mass.npz")

@@ -79,9 +79,8 @@ def metrics(path: Path) -> dict[str, np.ndarray]:
     "algorithm",
     [
         "ars",
-        "ailsrs",
         "bc",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("gail", "trpo")),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ailsrs", "gail", "trpo")),
     ],
 )
 def test_stacked_runs_are_those_alone(

@@ -55,7 +55,8 @@ def alone(point_mass: PointMass, point_mass_expert: Demonstrations) -> Ailsrs:
 
 
 # Twenty episodes: five for each device, or seven with a copy of the last.
-@pytest.mark.parametrize("count", [3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [3, 4])
 def test_a_run_on_many_devices(alone: Ailsrs, count: int) -> None:
     """Three iterations of two seeds, as the command line runs them."""
     seeds = jnp.array([0, 3])

@@ -251,6 +251,7 @@ def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_episodes")
 def test_through_minari_and_subsampled(monkeypatch, capsys) -> None:
     pytest.importorskip("minari")

@@ -11,7 +11,8 @@ from ailsrs_jax.runs.benchmark import speed as benchmark
 from ailsrs_jax.runs.benchmark.speed import Measurement, measure
 
 
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mujoco", "mjx"])
 def test_stages_of_one_engine(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     done: Measurement = measure("HalfCheetah-v5", engine, 4, 20, 3)

@@ -120,6 +120,7 @@ def test_stops_when_nobody_is_alive(point_mass: PointMass) -> None:
     assert len(calls) == int(result.lengths[0]) < 100
 
 
+@pytest.mark.slow
 def test_both_engines_give_the_same_episodes() -> None:
     env = make_env("swimmer", "mjx")
     low, high = action_range(env)

@@ -59,6 +59,7 @@ def test_actions_are_drawn_from_the_gaussian(point_mass: PointMass) -> None:
     np.testing.assert_allclose(steps.drawn_actions.std(), 0.2, atol=0.01)
 
 
+@pytest.mark.slow
 def test_seeds_beside_one_another_are_those_alone() -> None:
     """On the C engine, whose environments of several seeds share a call."""
     env = make_env("hopper", "mujoco")

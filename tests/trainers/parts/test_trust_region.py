@@ -27,6 +27,7 @@ SMALL: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_trpo_learns_from_the_reward(point_mass: PointMass) -> None:
     """A point that is left alone drifts away, to a return of about −90."""
     trainer = make_trpo(point_mass, TrpoSettings(**SMALL))

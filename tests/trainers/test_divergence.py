@@ -68,9 +68,7 @@ def require_an_early_end(result: Episodes, plain: Episodes) -> None:
     assert 15 < unstable.sum() < 45
     np.testing.assert_array_equal(result.diverged, unstable)
     np.testing.assert_array_equal(result.lengths, np.where(unstable, FINITE_STEPS, EPISODE_LENGTH))
-    np.testing.assert_array_equal(
-        result.alive_from(0).sum(axis=1), np.where(unstable, 0, EPISODE_LENGTH)
-    )
+    np.testing.assert_array_equal(result.usable_lengths, np.where(unstable, 0, EPISODE_LENGTH))
     np.testing.assert_array_equal(np.isnan(result.env_returns), unstable)
     # The others are what they would be without the unstable ones beside them.
     for name in ("observations", "actions", "env_rewards", "lengths"):

@@ -54,11 +54,11 @@ def test_a_rollout_ends_before_it_diverges(
 ) -> None:
     keys = jax.random.split(jax.random.key(3), NUM_EPISODES)
 
-    def simulate(env: PointMass) -> Episodes:
+    def all_in(env: PointMass) -> Episodes:
         return simulate(env, gentle_policies(), keys, EPISODE_LENGTH, batch_size)
 
-    plain = jax.jit(lambda: simulate(point_mass))()
-    exploding = jax.jit(lambda value: simulate(ExplodingPointMass(0.3, value, place)))
+    plain = jax.jit(lambda: all_in(point_mass))()
+    exploding = jax.jit(lambda value: all_in(ExplodingPointMass(0.3, value, place)))
     for value in (math.nan, math.inf, -math.inf, 1.1e10):
         require_an_early_end(exploding(value), plain)
 

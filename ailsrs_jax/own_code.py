@@ -73,18 +73,22 @@ def own_function(name: str) -> Callable[..., Any]:
 
 @contextlib.contextmanager
 def blamed_on(name: str, function: Callable[..., Any]) -> Iterator[None]:
-    """Report an exception from inside as a mistake in ``function``, which ``name`` stands for.
+    """Report an exception from inside as a mistake in the file of ``name``, ``module:attribute``.
+
+    The line is the last one of that file that the exception passed through; if there is none, as
+    with a wrong signature, the one where ``function`` begins.
 
     Raises:
-        UserError: an exception passed through the function's file, or through none of the user's.
+        UserError: there was an exception.
     """
     try:
         yield
     except UserError:
         raise
     except Exception as error:
-        file = inspect.getsourcefile(inspect.unwrap(function)) or name
-        line = inspect.unwrap(function).__code__.co_firstlineno
+        file = str(getattr(sys.modules.get(name.partition(":")[0]), "__file__", name))
+        code = getattr(inspect.unwrap(function), "__code__", None)  # a class has none
+        line = code.co_firstlineno if code is not None and code.co_filename == file else 1
         raise _blame(name, error, file, line) from error
 
 

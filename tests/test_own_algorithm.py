@@ -125,6 +125,14 @@ def test_a_mistake_is_one_line(
     assert not Path("run").exists()
 
 
+@pytest.mark.parametrize("make", ["MyAilsrs", "functools.partial(make, 1)"])
+def test_what_makes_the_trainer_need_not_be_a_function(make: str, my_file: Path) -> None:
+    text = EXAMPLE.replace("import dataclasses", "import dataclasses\nimport functools")
+    my_file.write_text(text.replace("make=make,", f"make={make},"))
+    with pytest.raises(ail.UserError, match=r"my_file\.py, line \d+: \w+Error: "):
+        ail.train(POINT_MASS, "point_mass.npz", algorithm=NAME, **SMALL)
+
+
 def test_a_reward_and_a_loss_of_ones_own(my_file: Path) -> None:
     my_file.write_text(
         "def reward(logits):\n    return 2.0 * logits\n\n"

@@ -1,0 +1,151 @@
+"""Wrong input: one line on standard error, exit code 2, and nothing written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.test_cli import ailsrs
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+
+def broken_file(kind: str) -> Path:
+    path = Path(f"{kind}.npz")
+    arrays = {
+        "observations": np.zeros((2, 5, 11)),
+        "actions": np.zeros((2, 5, 3)),
+        "lengths": np.array([5, 5]),
+        "returns": np.zeros(2),
+        "env_id": np.array("Hopper-v5"),
+    }
+    if kind == "shapes":
+        arrays["actions"] = np.zeros((2, 5, 4))
+    elif kind == "nan":
+        arrays["observations"][1, 1, 1] = np.nan
+    elif kind == "pickled":
+        arrays["observations"] = np.array([[[object()]]])
+    elif kind == "other_task":
+        arrays["env_id"] = np.array("Walker2d-v5")
+    elif kind == "other_sizes":
+        arrays["observations"] = np.zeros((2, 5, 17))
+    elif kind == "ragged":
+        arrays["observations"] = np.array([[0.0], [0.0, 0.0]], dtype=object)
+    elif kind == "no_steps":
+        arrays |= {"observations": np.zeros((0, 5, 11)), "actions": np.zeros((0, 5, 3))}
+    elif kind == "out_of_range":
+        arrays["actions"][1, 1, 1] = 1.1
+    elif kind == "states_alone":
+        del arrays["actions"]
+    if kind == "text":
+        path.write_text("observations, actions\n")
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind != "missing":
+        np.savez(path, **arrays)
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *["missing", "text", "empty", "truncated", "shapes", "nan", "pickled", "ragged"],
+        *["no_steps", "other_task", "other_sizes", "out_of_range", "states_alone"],
+    ],
+)
+def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
+    path = broken_file(kind)
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, "train", "hopper", "--demonstrations", path, "--num-trajectories", 2)
+    one_line_and_nothing_written(code, capsys, before)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "train hoper",
+        "train nowhere:Slider",
+        "train tests.point_mass:PointMass",
+        "train tests.point_mass:PointMass --demonstrations file --physics mjx",
+        "expert tests.point_mass:nothing --output expert.npz",
+        "demonstrate tests.point_mass:PointMass --output demonstrations.npz",
+        "train hopper --preset tuned --set noise=1",
+        "train hopper --set noise_std",
+        "train hopper --iterations 0",
+        "train hopper --seeds 1 1",
+        "train hopper --seeds 3 --seeds 3",
+        "train hopper --seeds 2147483648",
+        "train hopper --physics bullet",
+        "train hopper --preset best",
+        f"train hopper --output {'x' * 300}",
+        "evaluate missing.npz --seed -1",
+        f"evaluate {'x' * 300}",
+        f"demonstrate hopper --num-trajectories 1 --output {'x' * 300}/d.npz",
+        "demonstrate hopper --seed -1 --output demonstrations.npz",
+        "expert hopper --seed -1 --output expert.npz",
+        "train hopper --num-trajectories 0",
+        "train swimmer --num-trajectories 1 --subsample 0",
+        "train swimmer --num-trajectories 1 --subsample 20 --set episode_length=10",
+        "train hopper --demonstrations minari:",
+        "train hopper --demonstrations empty",
+        f"train hopper --demonstrations {'x' * 300}",
+        "train hopper --rollout-batch-size 0",
+        "train hopper --set num_directions=3000000 --output run",
+        "train hopper --track mlflow --output run",
+        "train hopper --distributed",
+        "train hopper --distributed --output run",
+        "benchmark hoper",
+        "sweep missing.toml",
+        "sweep file",
+        "sweep missing.toml --launcher slurm",
+        "merge merged nowhere",
+        "benchmark hopper --physics bullet",
+        "benchmark hopper --repeats 0",
+        "train hopper --resume",
+        "train hopper --resume --output nowhere",
+        "train hopper --output /proc/run",
+        "train hopper --output file/inside",
+        "render missing.npz --output out.mp4",
+        "render . --output out.mp4",
+        "render file --output out.html",
+        "render missing.npz --output out.gif",
+        "render missing.npz --output file/out.mp4",
+        "render missing.npz --output out.html --size 15",
+        "report missing",
+        "report .",
+        "report file",
+        f"report {'x' * 300}",
+        "report . --episodes 0",
+        "evaluate missing.npz",
+        "evaluate .",
+        "evaluate file",
+        "export missing.npz --output policy.onnx",
+        "export file --output policy.onnx",
+        "export empty --output policy.onnx",
+        "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
+        "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
+        "demonstrate hoper --output demonstrations.npz",
+        "demonstrate hopper --output minari:hopper",
+        "demonstrate hopper --output file/demonstrations.npz",
+        "expert hoper --output expert.npz",
+        "expert hopper --output file/expert.npz",
+        "expert hopper --output expert.pt",
+        "expert hopper --set num_top_directions=1000 --output expert.npz",
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(arguments: str, monkeypatch, capsys) -> None:
+    Path("file").write_text("in the way")
+    Path("empty").mkdir()
+    before = sorted(Path().iterdir())
+    code = ailsrs(monkeypatch, *arguments.split())
+    one_line_and_nothing_written(code, capsys, before)
+
+
+def one_line_and_nothing_written(code: int, capsys, before: list[Path]) -> None:
+    errors = capsys.readouterr().err
+    assert code == 2, errors
+    assert errors.startswith("ailsrs: ")
+    assert len(errors.splitlines()) == 1
+    assert sorted(Path().iterdir()) == before

@@ -3,9 +3,8 @@
 import json
 import os
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from ailsrs_jax.errors import UserError, one_line, refusing
 
@@ -13,13 +12,11 @@ MAX_JSON = 2**20  # bytes; this package's own files have a few thousand
 MAX_NAME = 200  # characters
 SMALL = 2**28  # bytes, which any machine has
 MAX_COMPRESSION = 100
-PARTIAL = (
-    ".partial"  # suffix of the hidden file that a process leaves if it is killed while writing
-)
+PARTIAL = ".partial"  # suffix of the hidden file of a process that is killed while it writes
 
 
-def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Call ``write`` with a temporary file beside ``path``, then rename it to ``path``.
+def write_atomically(path: str | Path, content: bytes | str) -> None:
+    """Write ``content`` to a temporary file beside ``path``, then rename it to ``path``.
 
     Raises:
         UserError: the file cannot be written.
@@ -32,7 +29,7 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
         ) as file:
             temporary = Path(file.name)
             try:
-                write(file)
+                file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
                 temporary.chmod(0o644)  # temporary files are private, results are not
@@ -42,6 +39,15 @@ def write_atomically(path: str | Path, write: Callable[[IO[bytes]], object]) -> 
                 raise
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as JSON, atomically; :func:`read_json_object` reads an object.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    write_atomically(path, f"{json.dumps(value, indent=2)}\n")
 
 
 def require_writable(path: Path) -> None:

@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.sweep_report import aggregates, markdown_table, report_sweep, write_text
+from ailsrs_jax.files import write_atomically, write_json
+from ailsrs_jax.show.sweep_report import aggregates, markdown_table, report_sweep
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import group_cells
@@ -105,7 +106,7 @@ def main() -> None:
             # Figures of labels that no longer exist would stay and be shown.
             shutil.rmtree(RESULTS / name / "figures", ignore_errors=True)
             report_sweep(RESULTS / name)
-        write_text(PAGE, page(sweeps))
+        write_atomically(PAGE, page(sweeps))
     except UserError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
@@ -131,7 +132,7 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
     planned = len(load_sweep(source / SWEEP_FILE).cells)
     commits = [commit for commit in earlier if commit != full] + [full]
     note = {"command": f"ailsrs sweep {spec}", "commits": commits, "cells": planned}
-    write_text(path, f"{json.dumps(note, indent=2)}\n")
+    write_json(path, note)
 
 
 def read_all(directory: Path) -> dict[str, SweepResults]:

@@ -55,15 +55,17 @@ def test_every_message_is_one_short_printable_line() -> None:
     assert message.isprintable()
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "file"
-    files.write_atomically(path, lambda file: file.write(b"old"))
+    files.write_atomically(path, b"old")
 
-    def fail(file) -> None:
-        file.write(b"new")
+    def fail(_: int) -> None:
         raise KeyError("mine")
 
+    monkeypatch.setattr(files.os, "fsync", fail)  # when all is written, but not renamed
     with pytest.raises(KeyError):
-        files.write_atomically(path, fail)
+        files.write_atomically(path, "new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]

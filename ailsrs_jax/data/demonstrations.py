@@ -102,8 +102,7 @@ class Demonstrations(struct.PyTreeNode):
 
 def save_demonstrations(demonstrations: Demonstrations, path: str | Path) -> None:
     """Write a ``.npz`` file atomically; :func:`load_demonstrations` reads it."""
-    content = encode_npz(demonstrations.fields(), compress=True)
-    write_atomically(path, lambda file: file.write(content))
+    write_atomically(path, encode_npz(demonstrations.fields(), compress=True))
 
 
 def load_demonstrations(path: str | Path) -> Demonstrations:

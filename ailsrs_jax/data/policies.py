@@ -138,7 +138,7 @@ class SavedPolicy(ABC):
         """
         path = Path(path)
         content = require_format(path).encode(self._arrays(), {"env_id": self.env_id})
-        write_atomically(path, lambda file: file.write(content))
+        write_atomically(path, content)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """The fields of the file except ``env_id``."""

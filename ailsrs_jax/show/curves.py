@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ailsrs_jax.files import write_atomically
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, add_legend, panels
+from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, add_legend, encoded, panels
 
 # The panels: a column of metrics.csv, the label of its axis and the limits of that axis.
 PANELS = {
@@ -42,7 +42,7 @@ def plot_training_curve(directory: Path) -> Path:
         title += f" from {number} demonstrations"
     figure.suptitle(title)
     path = directory / "training_curve.png"
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=130))
+    write_atomically(path, encoded(figure, "png", dpi=130))
     return path
 
 

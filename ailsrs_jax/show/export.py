@@ -83,7 +83,7 @@ def export(
     card = model_card(source, evaluation, f"{where}, seed {seed}", origin, license_id)
     for file in files:
         source.save(file)
-    write_atomically(output / CARD, lambda file: file.write(card.encode()))
+    write_atomically(output / CARD, card)
     return evaluation
 
 

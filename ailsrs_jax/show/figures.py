@@ -4,7 +4,6 @@ import itertools
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from ailsrs_jax.show.style import (
     STYLE,
     WIDTH,
     add_legend,
+    encoded,
     panels,
 )
 from ailsrs_jax.sweeps.results import SweepResults
@@ -48,10 +48,9 @@ Looks = dict[str, dict[str, Any]]  # colour, marker and line style of each serie
 def save_figures(results: SweepResults, directory: Path) -> None:
     """Write every figure as PNG and PDF; the same results give the same bytes."""
     for name, figure in draw_figures(results).items():
-        for kind, metadata in {"png": {}, "pdf": {"CreationDate": None}}.items():
+        for kind in ("png", "pdf"):
             with style.context(STYLE):
-                write = partial(figure.savefig, format=kind, metadata=metadata)
-                write_atomically(directory / f"{name}.{kind}", write)
+                write_atomically(directory / f"{name}.{kind}", encoded(figure, kind))
 
 
 def draw_figures(results: SweepResults) -> dict[str, Figure]:

@@ -1,7 +1,6 @@
 """The content of a page of ``ailsrs report``; ``page.html`` is its template."""
 
 import dataclasses
-import io
 from collections.abc import Sequence
 
 import jinja2
@@ -13,6 +12,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.renderer import require_renderer
 from ailsrs_jax.show.replay import replay
+from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import Animation, data_uri, require_encoder
 
@@ -103,9 +103,7 @@ def play(
 
 def embedded(figure: Figure, kind: str) -> str:
     """Return the figure as a data address; ``kind`` is ``png`` or ``svg``."""
-    file = io.BytesIO()
-    figure.savefig(file, format=kind, metadata={"Date": None} if kind == "svg" else {})
-    return data_uri({"png": "image/png", "svg": "image/svg+xml"}[kind], file.getvalue())
+    return data_uri({"png": "image/png", "svg": "image/svg+xml"}[kind], encoded(figure, kind))
 
 
 def millions(steps: float) -> str:

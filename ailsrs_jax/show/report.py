@@ -66,8 +66,7 @@ def report(
         page = sweep_page(directory, video=video)
     else:
         page = run_page(read_run(directory), episodes=episodes, video=video)
-    content = page.html().encode()
-    write_atomically(output, lambda file: file.write(content))
+    write_atomically(output, page.html())
     return output
 
 

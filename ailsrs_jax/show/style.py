@@ -1,5 +1,6 @@
 """The look that all figures share: colours, lines, panels and the legend."""
 
+import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -47,3 +48,11 @@ def add_legend(figure: Figure, axes: Iterable[Axes], title: str | None = None) -
         ncols=num_columns,
         title=title,
     )
+
+
+def encoded(figure: Figure, kind: str, **options: Any) -> bytes:
+    """Return the figure as a file of that ``kind``, the same bytes for the same figure."""
+    undated: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    file = io.BytesIO()
+    figure.savefig(file, format=kind, metadata=undated.get(kind), **options)
+    return file.getvalue()

@@ -54,8 +54,8 @@ def report_sweep(directory: str | Path) -> None:
     """
     directory = Path(directory)
     results = read_results(directory)
-    write_text(directory / "table.md", results_table(results))
-    write_text(directory / "timings.md", timings_table(results))
+    write_atomically(directory / "table.md", results_table(results))
+    write_atomically(directory / "timings.md", timings_table(results))
     try:
         from ailsrs_jax.show.figures import save_figures
     except ImportError:
@@ -64,11 +64,6 @@ def report_sweep(directory: str | Path) -> None:
         )
         return
     save_figures(results, directory / "figures")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
-    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def results_table(results: SweepResults) -> str:

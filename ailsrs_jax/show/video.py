@@ -100,7 +100,7 @@ class Animation:
         path = Path(path)
         require_suffix(path)
         content = self.mp4 if path.suffix == ".mp4" else self.viewer().encode()
-        write_atomically(path, lambda file: file.write(content))
+        write_atomically(path, content)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""

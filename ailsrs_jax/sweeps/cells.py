@@ -1,14 +1,13 @@
 """The cells of a sweep, and the file ``sweep.json`` that lists them."""
 
 import dataclasses
-import json
 import os
 import re
 from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.errors import UserError, one_line
-from ailsrs_jax.files import read_json_object, write_atomically
+from ailsrs_jax.files import read_json_object, write_json
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
 
@@ -66,8 +65,7 @@ class Sweep:
         if os.path.lexists(path):  # Path.exists raises an error if the name is too long
             self.require_same(path)
             return
-        text = json.dumps(dataclasses.asdict(self), indent=1)
-        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+        write_json(path, dataclasses.asdict(self))
 
     def require_same(self, path: Path) -> None:
         """Raise UserError that names some differences unless ``path`` holds this sweep."""

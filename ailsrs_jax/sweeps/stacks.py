@@ -1,11 +1,10 @@
 """Stacks: cells of a sweep that are trained as one program and share a checkpoint until the end."""
 
 import hashlib
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ailsrs_jax.files import read_json_object, write_atomically
+from ailsrs_jax.files import read_json_object, write_json
 from ailsrs_jax.sweeps.cells import Cell
 
 STACK_FILE = "cells.json"  # in the directory of an unfinished stack
@@ -52,7 +51,6 @@ def split_unit(unit: Sequence[Cell], unfinished: Sequence[Cell], output: Path) -
             cell for cell in unfinished if not any((output / "cells" / cell.name).glob(CHECKPOINTS))
         ]
         if len(together) > 1:
-            text = json.dumps({"cells": [cell.name for cell in together]})
-            write_atomically(stack / STACK_FILE, lambda file: file.write(text.encode()))
+            write_json(stack / STACK_FILE, {"cells": [cell.name for cell in together]})
     alone = [[cell] for cell in unfinished if cell not in together]
     return [*alone, together] if together else alone

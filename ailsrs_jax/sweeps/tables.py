@@ -17,7 +17,7 @@ import numpy as np
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.files import read_json_object, write_atomically
+from ailsrs_jax.files import read_json_object, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.loop import Result
@@ -134,8 +134,7 @@ def timing_row(cell: Cell, row: TableRow, directory: Path) -> TableRow:
 
 def save_row(directory: Path, row: TableRow, timing: TableRow | None) -> None:
     """Record that a cell has finished or failed."""
-    text = json.dumps({"row": row, "timing": timing}, indent=1)
-    write_atomically(directory / ROW_FILE, lambda file: file.write(f"{text}\n".encode()))
+    write_json(directory / ROW_FILE, {"row": row, "timing": timing})
 
 
 def load_row(directory: Path) -> tuple[TableRow, TableRow | None] | None:
@@ -197,7 +196,7 @@ def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
     writer = csv.DictWriter(text, COLUMNS[path.name], extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+    write_atomically(path, text.getvalue())
 
 
 def ninety_percent(expert_return: float) -> float:

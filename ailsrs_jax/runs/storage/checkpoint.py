@@ -200,8 +200,7 @@ class Checkpoints:
         self._manager.wait_until_finished()
         if is_first_process():
             directory = self._directory / str(num_done)
-            hashes = _hashes(directory).encode()
-            write_atomically(directory / HASHES, lambda file: file.write(hashes))
+            write_atomically(directory / HASHES, _hashes(directory))
 
     def _finish_writing(self) -> None:
         pending, self._pending = self._pending, None

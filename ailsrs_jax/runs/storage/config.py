@@ -11,7 +11,7 @@ from typing import Any
 
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.files import read_json_object, write_atomically
+from ailsrs_jax.files import read_json_object, write_json
 
 VERSIONED_PACKAGES = (
     *("ailsrs_jax", "jax", "jaxlib", "mujoco", "gymnasium", "numpy"),
@@ -39,8 +39,7 @@ class RunConfig:
 
     def save(self, path: Path) -> None:
         """Write ``config.json`` atomically."""
-        text = json.dumps(self.as_json(), indent=2)
-        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+        write_json(path, self.as_json())
 
     def require_same(self, saved: Mapping[str, Any], where: Path) -> None:
         """Raise UserError that lists the differences from ``saved``, which was read from ``where``.

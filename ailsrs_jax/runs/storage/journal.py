@@ -1,6 +1,5 @@
 """Everything that a run writes into its directory while it goes, except for checkpoints."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.files import write_atomically
+from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
 from ailsrs_jax.runs.storage.policies import kept_policies
@@ -114,9 +113,7 @@ class Journal:
                 if math.isfinite(score)  # else no policy has had a score yet
             },
         }
-        text = json.dumps(result, indent=2)
-        path = self._directory / RESULT_FILE
-        write_atomically(path, lambda file: file.write(f"{text}\n".encode()))
+        write_json(self._directory / RESULT_FILE, result)
 
     def close(self) -> None:
         """Close the event files, and wait until the tracker has all rows."""

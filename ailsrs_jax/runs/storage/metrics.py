@@ -74,7 +74,7 @@ class CsvFile:
                     f"file, or delete {path.parent / 'checkpoints'} to start over"
                 )
         self._has_header = bool(kept)
-        write_atomically(path, lambda file: file.write(_as_csv(kept)))
+        write_atomically(path, _as_csv(kept))
 
     def append(
         self, columns: Sequence[str], rows: Sequence[Sequence[Any]], *, to_disk: bool = False

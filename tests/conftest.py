@@ -23,6 +23,16 @@ jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Fast tests compile much and compute little, so LLVM's optimisations cost more than they save.
+
+    JAX reads the flag when it first computes; so do the processes that tests start.
+    """
+    if config.option.markexpr == "not slow":
+        flags = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=0 {flags}"
+
+
 @pytest.fixture(scope="session")
 def point_mass() -> PointMass:
     return PointMass()

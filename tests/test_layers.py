@@ -8,18 +8,19 @@ import pytest
 import ailsrs_jax
 
 PACKAGE = Path(ailsrs_jax.__file__).parent
-GROUND = {"errors", "files", "own_code", "versions"}
+GROUND = {"errors", "files", "host_calls", "own_code", "versions"}
 # Each folder may import itself, the folders before it in this list that stand in its line, and the
 # modules on the ground. Folders beside one another do not import one another.
 BELOW: dict[str, set[str]] = {
+    "workers": set(),
     "components": set(),
     "envs/physics": set(),
     "envs/tasks": {"envs/physics"},
-    "envs": {"envs/physics", "envs/tasks"},
+    "envs": {"envs/physics", "envs/tasks", "workers"},
     "data/formats": set(),
     "data": {"data/formats"},
 }
-TRAINING = {"components", "envs", "envs/physics", "envs/tasks", "data", "data/formats"}
+TRAINING = {"workers", "components", "envs", "envs/physics", "envs/tasks", "data", "data/formats"}
 for folder in (
     *("trainers/parts", "trainers", "runs/storage", "runs"),
     *("runs/experts", "runs/benchmark"),

@@ -12,7 +12,8 @@ EnvName = Annotated[
     str,
     arg(
         metavar="ENV",
-        help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, or module:attribute",
+        help="ant, halfcheetah, hopper, humanoid, swimmer, walker2d, any other environment of "
+        "Gymnasium as gymnasium:ID, or module:attribute",
     ),
 ]
 PolicyPath = Positional[Annotated[Path, arg(metavar="DIR|POLICY")]]
@@ -33,6 +34,8 @@ RealPhysicsName = Annotated[
 Seed = Annotated[int, arg(help="Seed of all random numbers, from 0.")]
 # An empty hint replaces "(default: None)" and "(default: False)"; the help says what happens.
 Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
+Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
+Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
 Every = Annotated[int, arg(metavar="K")]
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]

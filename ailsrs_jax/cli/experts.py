@@ -1,13 +1,13 @@
 """The commands for experts: ``ailsrs expert`` and ``ailsrs demonstrate``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import (
+    Count,
     EnvName,
-    OptionalPath,
     PhysicsName,
     Seed,
     Settings,
@@ -15,15 +15,19 @@ from ailsrs_jax.cli.arguments import (
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import is_own
 
 
 def demonstrate(
     env: Positional[EnvName],
     output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
     num_trajectories: int = 40,
-    expert: OptionalPath = None,
+    expert: Annotated[
+        str | None, arg(metavar="POLICY|MODULE:FUNCTION", help_behavior_hint="")
+    ] = None,
     physics: PhysicsName = "auto",
     seed: Seed = 0,
+    episode_length: Count = None,
     action_noise: float = 0.0,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
@@ -33,8 +37,10 @@ def demonstrate(
 
     Args:
         output: The .npz file to write, or minari:DATASET_ID for a new Minari dataset.
-        num_trajectories: Episodes to roll out, of at most 1000 steps.
-        expert: The expert's policy.npz; by default the shipped expert of the task.
+        num_trajectories: Episodes to roll out.
+        expert: The expert's policy.npz; by default the shipped expert of the task. For gymnasium:ID
+            it may be a function of an observation, such as a trained model's.
+        episode_length: Steps of an episode; by default the environment's time limit.
         action_noise: Standard deviation of Gaussian noise on the actions, in their units.
     """
     from ailsrs_jax.data.policies import load_policy
@@ -44,12 +50,22 @@ def demonstrate(
     from ailsrs_jax.runs.policies import load_expert
 
     env_id = resolve_env_id(env)
-    policy = load_policy(expert) if expert else load_expert(env_id)
-    if policy.env_id != env_id:
-        raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
+    policy: Any = expert
+    if expert is None:
+        policy = load_expert(env_id)
+    elif not is_own(expert):
+        policy = load_policy(Path(expert))
+        if policy.env_id != env_id:
+            raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
     require_target(output, env_id)
     recording = demonstrate.record(
-        policy, num_trajectories, physics=physics, seed=seed, action_noise=action_noise
+        policy,
+        num_trajectories,
+        env=env_id,
+        physics=physics,
+        seed=seed,
+        episode_length=episode_length,
+        action_noise=action_noise,
     )
     save_recording(recording, output)
     returns, lengths = recording.demonstrations.returns, recording.demonstrations.lengths

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Flag, RealPhysicsName, Seed
+from ailsrs_jax.cli.arguments import Count, Flag, RealPhysicsName, Seed
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
 
@@ -62,12 +62,12 @@ def evaluate(
 def benchmark(
     envs: Positional[Annotated[tuple[str, ...], arg(metavar="[ENV ...]")]] = ("halfcheetah",),
     physics: Annotated[tuple[str, ...], arg(metavar="mjx|mujoco ...")] = ("mjx", "mujoco"),
-    num_directions: int = 320,
+    num_directions: Count = None,
     episode_length: int = 1000,
     repeats: int = 3,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
-    """Measure bare physics, rollouts, training steps and the installed peers.
+    """Measure bare physics, episodes, training steps and the installed peers.
 
     Example: ailsrs benchmark halfcheetah
 
@@ -76,7 +76,8 @@ def benchmark(
     Args:
         envs: The tasks, named as for ailsrs train.
         physics: The engines.
-        num_directions: Directions of the search; two policies are simulated for each.
+        num_directions: Directions of the search, by default those of the preset tuned; two policies
+            are simulated for each.
         episode_length: Environment steps of an episode.
         repeats: Times that each stage is measured; the median counts.
     """
@@ -84,7 +85,7 @@ def benchmark(
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs.benchmark.speed import benchmark
 
-    if min(num_directions, episode_length, repeats) < 1:
+    if min(num_directions or 1, episode_length, repeats) < 1 or num_directions == 0:
         raise UserError("directions, episode length and repeats must be at least 1")
     env_ids = [resolve_env_id(env) for env in envs]
     engines = [choose_engine(engine)[0] for engine in physics]

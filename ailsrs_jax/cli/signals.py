@@ -9,13 +9,14 @@ import threading
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SHOW_CURSOR = b"\x1b[?25h"
-NOTE = ": stopping after this iteration; once more to stop at once, without saving"
+NOTE = ": stopping; once more to stop at once, without saving"
 
 
 class StopSignals:
     """Whether a signal has requested a stop; a context manager, and the ``stop`` of a run.
 
-    The first signal requests a stop after this iteration; the second ends the process at once.
+    The first signal requests a stop, at the latest after this iteration. The second ends the
+    process at once.
     Python runs signal handlers only between two of its own instructions, which can be minutes apart
     while a compiled iteration runs. So a thread listens on a socket that the interpreter writes to
     as soon as a signal arrives.

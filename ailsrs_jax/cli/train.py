@@ -17,9 +17,11 @@ from ailsrs_jax.cli.arguments import (
     Flag,
     OptionalPath,
     PhysicsName,
+    Seconds,
     Seeds,
     Settings,
     TrackerName,
+    Workers,
     assignments,
 )
 from ailsrs_jax.cli.terminal import (
@@ -50,6 +52,8 @@ def train(
     settings: Settings = (),
     physics: PhysicsName = "auto",
     rollout_batch_size: Count = None,
+    workers: Workers = None,
+    worker_timeout: Seconds = None,
     output: OptionalPath = None,
     resume: Flag = False,
     checkpoint_every: Every = 10,
@@ -77,6 +81,10 @@ def train(
         preset: Settings that work on the task, or those of the algorithm's paper.
         rollout_batch_size: Simulations at a time on each device, in random search; fewer need less
             memory. By default all, or as many as are fastest.
+        workers: Processes that run the episodes of gymnasium:ID, by default one for each core; or
+            ray:N for N actors on the Ray cluster that there is, else on a local one.
+        worker_timeout: Seconds that an episode may take there, by default 600; then it is run again
+            in a new process.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Continue from the newest checkpoint in the output directory.
         checkpoint_every: Save the whole state every K iterations.
@@ -117,12 +125,14 @@ def train(
         settings=parse(preset_settings(env, preset, algorithm), changes),
         physics=physics,
         rollout_batch_size=rollout_batch_size,
+        workers=workers,
+        worker_timeout=worker_timeout,
     )
     planned = plan(spec)
     config = planned.config
     continue_by = [] if resume else ["--resume"]
     if output is None:
-        name = env.replace(":", ".")  # colons are special on Windows and to scp
+        name = env.replace(":", ".").replace("/", ".")  # colons are special to scp
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
     learns_from = "the environment's reward"

@@ -26,6 +26,11 @@ class LinearPolicy(struct.PyTreeNode):
         action = jnp.matmul(self.weights, standardized, precision="highest")
         return jnp.clip(action + noise, self.action_low, self.action_high)
 
+    @property
+    def layers(self) -> "Layers":
+        """Weights ``(out, in)`` and biases ``(out,)`` of each layer, as of :class:`MlpPolicy`."""
+        return (self.weights,), (jnp.zeros_like(self.action_low),)
+
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":
         """Return the batch of policies with these ``weights (B, p, n)`` and its statistics."""
         batch: LinearPolicy = repeated(self, len(weights))
@@ -50,6 +55,11 @@ class MlpPolicy(struct.PyTreeNode):
         """Return the action ``(p,)`` for an observation ``(n,)``: noise is added, then clipped."""
         return self.clip(self.unclipped(observation) + noise)
 
+    @property
+    def layers(self) -> "Layers":
+        """Weights ``(out, in)`` and biases ``(out,)`` of each layer."""
+        return self.weights, self.biases
+
     def unclipped(self, observation: jax.Array) -> jax.Array:
         """Return the mean ``(p,)`` of the Gaussian for an observation ``(n,)``."""
         return perceptron(self.weights, self.biases, (observation - self.mean) / self.std)
@@ -60,6 +70,7 @@ class MlpPolicy(struct.PyTreeNode):
 
 
 Policy = LinearPolicy | MlpPolicy
+Layers = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]
 
 
 def perceptron(

@@ -6,7 +6,10 @@ import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import gymnasium
+
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.gymnasium_env import PREFIX, WORKER_TIMEOUT, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_name, require_env
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.tasks.ant import Ant
@@ -46,7 +49,9 @@ def short_name(env_id: str) -> str:
 
 
 def resolve_env_id(name: str) -> str:
-    """Return the Gymnasium id that ``name`` stands for; ``module:attribute`` stays as it is.
+    """Return the Gymnasium id that ``name`` stands for.
+
+    ``gymnasium:ID`` and ``module:attribute`` stay as they are.
 
     Raises:
         UserError: there is no such task.
@@ -59,8 +64,8 @@ def resolve_env_id(name: str) -> str:
     known = ", ".join(map(short_name, TASKS))
     similar = did_you_mean(name, TASKS if name[:1].isupper() else map(short_name, TASKS))
     raise UserError(
-        f"unknown environment '{name}'{similar}: use one of {known}, or module:attribute for your "
-        "own; in Python, pass the environment itself as env"
+        f"unknown environment '{name}'{similar}: use one of {known}, gymnasium:ID for any other of "
+        "Gymnasium, or module:attribute for your own; in Python, pass the environment itself as env"
     )
 
 
@@ -87,12 +92,34 @@ def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
     return _make(env_id, _factory(env_id), physics, **flags)
 
 
-def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
+def open_env(
+    env: Env | str | Callable[[], gymnasium.Env],
+    physics: str = "auto",
+    workers: int | str | None = None,
+    worker_timeout: float | None = None,
+) -> OpenEnv:
     """Return the environment called ``env``, or ``env`` itself if it is one, after checking it.
+
+    Args:
+        env: a task by name; a Brax environment; or a function that makes one of Gymnasium.
+        physics: see :func:`make_env`.
+        workers: for an environment of Gymnasium; see :class:`GymnasiumEnv`.
+        worker_timeout: in the same way.
 
     Raises:
         UserError: it is unknown, cannot be trained in, or does not let ``physics`` be chosen.
     """
+    if is_gymnasium(env):
+        if physics not in ("auto", GymnasiumEnv.backend):
+            raise UserError(f"physics '{physics}': an environment of Gymnasium has its own physics")
+        name = env.removeprefix(PREFIX) if isinstance(env, str) else env
+        timeout = WORKER_TIMEOUT if worker_timeout is None else worker_timeout
+        is_made = isinstance(name, GymnasiumEnv)
+        made: Any = name if is_made else _make_gymnasium(name, workers, timeout)
+        return OpenEnv(made, made.env_id, made.backend, "whole episodes in worker processes")
+    for option, given in (("workers", workers), ("worker_timeout", worker_timeout)):
+        if given is not None:
+            raise UserError(f"{option} is for environments named gymnasium:ID: leave it out")
     if not isinstance(env, str):
         if physics != "auto":
             raise UserError(
@@ -108,13 +135,21 @@ def open_env(env: Env | str, physics: str = "auto") -> OpenEnv:
     return OpenEnv(task, env_id, _engine(task), reason)
 
 
+def is_gymnasium(env: Any) -> bool:
+    """Whether ``env`` is an environment of Gymnasium, its name, or a function that makes it."""
+    if isinstance(env, str):
+        return env.startswith(PREFIX)
+    is_function = callable(env) and not hasattr(env, "reset") and not isinstance(env, type)
+    return isinstance(env, GymnasiumEnv) or is_function
+
+
 def takes_physics(name: str) -> bool:
     """Whether the caller can choose the physics engine of the task ``name``.
 
     Raises:
         UserError: there is no such task.
     """
-    return _takes_physics(_factory(resolve_env_id(name)))
+    return not is_gymnasium(name) and _takes_physics(_factory(resolve_env_id(name)))
 
 
 def require_harmless(env_id: str, source: str) -> None:
@@ -125,6 +160,8 @@ def require_harmless(env_id: str, source: str) -> None:
     class of an environment.
     """
     if env_id in TASKS or not is_own(env_id) or is_here(env_id):
+        return
+    if is_gymnasium(env_id) and env_id.removeprefix(PREFIX) in gymnasium.registry:
         return
     parts = env_id.partition(":")[0].split(".")
     if all(map(str.isidentifier, parts)) and parts[0] not in sys.stdlib_module_names:
@@ -156,6 +193,7 @@ def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) 
 # All policies of a run are evaluated in one environment, which is compiled once. The factory is
 # part of the key: a module that was edited and reloaded has a new one under the same name.
 _make_once = functools.lru_cache(maxsize=4)(_make)
+_make_gymnasium = functools.lru_cache(maxsize=4)(GymnasiumEnv)
 
 
 def _takes_physics(factory: Callable[..., Env]) -> bool:

@@ -5,6 +5,7 @@ import functools
 import hashlib
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +16,19 @@ from ailsrs_jax.data.demonstrations import Demonstrations, load_demonstrations, 
 from ailsrs_jax.data.episodes import Recording
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env
-from ailsrs_jax.envs.wrappers import LateEnd
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
+from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import installed_versions, require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import simulate
+
+PythonPolicy = str | Callable[[np.ndarray], Any]
 
 NOISE_STREAM = 1  # of random numbers, distinct from those of a reset
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
@@ -37,6 +41,7 @@ def roll_out(
     key: jax.Array,
     episode_length: int = EPISODE_LENGTH,
     noise_std: np.ndarray | float | None = None,
+    starts: jax.Array | None = None,
 ) -> Episodes:
     """Roll out ``policy`` in ``env``; episode ``i`` does not depend on the number of episodes.
 
@@ -48,9 +53,10 @@ def roll_out(
         episode_length: the time limit in environment steps.
         noise_std: standard deviation, a number or ``(p,)``, of Gaussian noise that is added to the
             actions before they are clipped.
+        starts: of the episodes, instead of those that ``key`` gives.
 
     Raises:
-        UserError: the policy does not fit the environment.
+        UserError: the policy does not fit the environment, or the environment fails.
     """
     n, p = env_sizes(env)
     policy.require_shape(p, n)
@@ -62,25 +68,27 @@ def roll_out(
         noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE_STREAM)
         draws = [jax.random.normal(noise_key, (episode_length, p)) for noise_key in noise_keys]
         noise = noise_std * jnp.stack(draws)
-    return _compiled_rollout(env, episode_length)(policies, keys, noise)
+    with host_errors():
+        run = _compiled_rollout(env, episode_length)
+        return jax.block_until_ready(run(policies, keys if starts is None else starts, noise))
 
 
 @functools.lru_cache(maxsize=4)
 def _compiled_rollout(env: Env, episode_length: int) -> Callable[..., Episodes]:
     """Compile the simulation once for all policies of a run."""
     return jax.jit(
-        lambda policies, keys, noise: simulate(env, policies, keys, episode_length, noise=noise)
+        lambda policies, starts, noise: simulate(env, policies, starts, episode_length, noise=noise)
     )
 
 
 def demonstrate(
-    policy: SavedPolicy,
+    policy: SavedPolicy | PythonPolicy,
     num_trajectories: int,
     *,
-    env: Env | None = None,
+    env: Any = None,
     physics: str = "auto",
     seed: int = 0,
-    episode_length: int = EPISODE_LENGTH,
+    episode_length: int | None = None,
     action_noise: float = 0.0,
 ) -> Demonstrations:
     """Roll out ``num_trajectories`` episodes of ``policy``.
@@ -94,12 +102,15 @@ def demonstrate(
     2
 
     Args:
-        policy: the expert.
+        policy: the expert. For an environment of Gymnasium it may be any function of an observation
+            ``(n,)``, or the name ``module:attribute`` of one.
         num_trajectories: how many episodes.
-        env: any Brax environment; by default the task that the policy names.
+        env: any environment that :func:`~ailsrs_jax.runs.run.train` takes; by default the task that
+            the policy names.
         physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by name.
         seed: of the initial states.
-        episode_length: the time limit in environment steps.
+        episode_length: the time limit in environment steps; by default the environment's own, and
+            1000 if it has none.
         action_noise: standard deviation of Gaussian noise added to the actions, in their units. The
             demonstrations hold the actions with the noise.
 
@@ -119,17 +130,17 @@ def demonstrate(
 
 
 def record(
-    policy: SavedPolicy,
+    policy: SavedPolicy | PythonPolicy,
     num_trajectories: int,
     *,
-    env: Env | None = None,
+    env: Any = None,
     physics: str = "auto",
     seed: int = 0,
-    episode_length: int = EPISODE_LENGTH,
+    episode_length: int | None = None,
     action_noise: float = 0.0,
 ) -> Recording:
     """Do as :func:`demonstrate`; also return what :func:`save_minari` needs beside it."""
-    if min(num_trajectories, episode_length) < 1:
+    if num_trajectories < 1 or (episode_length is not None and episode_length < 1):
         raise UserError(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: ask for at "
             "least one"
@@ -137,34 +148,39 @@ def record(
     if not (math.isfinite(action_noise) and action_noise >= 0):
         raise UserError(f"action_noise is {action_noise}: it must be 0 or more")
     require_seed(seed)
-    task = open_env(policy.env_id if env is None else env, physics)
-    key, noise_std = jax.random.key(seed), action_noise or None
-    episodes = roll_out(
-        policy, _late_end(task.env), num_trajectories, key, episode_length + 1, noise_std
-    )
+    if env is None:
+        if not isinstance(policy, SavedPolicy):
+            raise UserError("a function names no environment: hand in env")
+        env = policy.env_id
+    task = open_env(env, physics)
+    length = episode_length or getattr(task.env, "time_limit", None) or EPISODE_LENGTH
+    if isinstance(policy, SavedPolicy):
+        key, noise_std = jax.random.key(seed), action_noise or None
+        episodes: Any = roll_out(policy, task.env, num_trajectories, key, length, noise_std)
+        env_rewards = np.asarray(episodes.env_rewards)
+    else:
+        if not isinstance(task.env, GymnasiumEnv):
+            raise UserError(
+                f"a policy in Python needs an environment of Gymnasium: name it {PREFIX}ID"
+            )
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=(num_trajectories, length, task.env.action_size)) * action_noise
+        seeds = [seed + episode for episode in range(num_trajectories)]
+        episodes, env_rewards = task.env.follow(policy, seeds, noise)
     if diverged := np.flatnonzero(episodes.diverged).tolist():
         raise UserError(
             f"episode {diverged[0]} of the expert diverged, and {len(diverged) - 1} more of "
             f"{num_trajectories}: the physics is unstable under this policy"
         )
-    lengths = np.asarray(episodes.lengths) - 1
-    observations, actions, env_rewards = map(
-        np.asarray, (episodes.observations, episodes.actions, episodes.env_rewards)
-    )
-    alive = np.arange(episode_length) < lengths[:, None]
     demonstrations = Demonstrations(
-        observations=np.where(alive[..., None], observations[:, :-1], 0.0),
-        actions=np.where(alive[..., None], actions[:, :-1], 0.0),
-        lengths=lengths,
+        observations=np.asarray(episodes.observations),
+        actions=np.asarray(episodes.actions),
+        lengths=np.asarray(episodes.lengths),
         # In double precision, so that a reader who sums in another order gets the same number.
-        returns=env_rewards[:, :-1].sum(axis=1, dtype=np.float64).astype(np.float32),
+        returns=env_rewards.sum(axis=1, dtype=np.float64).astype(np.float32),
         env_id=task.env_id,
     )
-    final_observations = observations[np.arange(num_trajectories), lengths]
-    return Recording(demonstrations, env_rewards[:, :-1], final_observations)
-
-
-_late_end = functools.lru_cache(maxsize=4)(LateEnd)  # to compile each environment once
+    return Recording(demonstrations, env_rewards, np.asarray(episodes.final_observations))
 
 
 def expert_demonstrations(

@@ -8,6 +8,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.files import cache_directory
@@ -36,12 +37,13 @@ def set_up_jax() -> None:
 def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
     """Simulate on all devices of all processes, ``batch_size`` episodes of each at a time.
 
-    MuJoCo's C engine uses all cores of a process itself, so each process then has one device. By
-    default all episodes are simulated at a time. The exception is physics in JAX on CPU cores where
-    episodes end early, because there a simulation costs the same after its episode has ended.
+    What runs whole episodes uses all cores of a process itself, so each process then has one
+    device. By default all episodes are simulated at a time. The exception is physics in JAX on CPU
+    cores where episodes end early, because there a simulation costs the same after its episode has
+    ended.
     """
     devices = jax.devices()
-    if _steps_in_c(env):
+    if _uses_all_cores(env):
         of_each_process = {device.process_index: device for device in reversed(devices)}
         devices = [of_each_process[index] for index in sorted(of_each_process)]
     elif batch_size is None and jax.default_backend() == "cpu":
@@ -51,7 +53,8 @@ def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
     return Simulator(env, mesh, batch_size)
 
 
-def _steps_in_c(env: Env) -> bool:
-    """Tell whether MuJoCo's C engine simulates ``env``, which may be wrapped."""
+def _uses_all_cores(env: Env) -> bool:
+    """Tell whether MuJoCo's C engine or workers simulate ``env``, which may be wrapped."""
     inner = getattr(env, "unwrapped", env)
-    return isinstance(inner, MujocoTask) and inner.physics.name == "mujoco"
+    in_c = isinstance(inner, MujocoTask) and inner.physics.name == "mujoco"
+    return in_c or isinstance(inner, GymnasiumEnv)

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.storage.metrics import IterationReport
 
 
@@ -31,6 +32,10 @@ def iterate(
         num_iterations: iterations in all.
         arguments: further arguments of ``update``, for all lanes.
         place: where results lie on the devices, so that ``update`` can take them again.
+
+    Raises:
+        Interrupted: an iteration has ended early, because somebody asked for a stop.
+        UserError: the environment failed.
     """
     if start == num_iterations or finished(state).all():
         return
@@ -41,8 +46,9 @@ def iterate(
     compile_seconds = time.perf_counter() - started
     for iteration in range(start, num_iterations):
         started = time.perf_counter()
-        state, device_metrics = compiled(state, *arguments)
-        metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
+        with host_errors():
+            state, device_metrics = compiled(state, *arguments)
+            metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
         is_over = bool(finished(state).all())
         seconds = time.perf_counter() - started
         live_steps = metrics["env_steps"].astype(np.int64)  # the sum can exceed 32 bits

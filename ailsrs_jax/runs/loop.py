@@ -17,6 +17,7 @@ import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.host_calls import Interrupted, interruptible
 from ailsrs_jax.runs.iterations import finished, iterate
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.stacking import stack_trainers
@@ -183,8 +184,8 @@ def execute(
         checkpoint_every: save the state every so many iterations.
         track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         watch: called after every iteration, with the metrics of all lanes.
-        stop: called after every iteration; if it returns true, the state is saved and
-            KeyboardInterrupt is raised.
+        stop: called after every iteration, and during one that MuJoCo's C engine simulates; if it
+            returns true, the state is saved and KeyboardInterrupt is raised.
 
     Returns:
         The result of each run. If most episodes of an iteration diverged in one of several runs,
@@ -239,39 +240,49 @@ def execute(
                     if (journal := run.begin(progress, track)) is not None:
                         stack.enter_context(closing(journal))
 
-        for state, report in iterate(
-            update,
-            progress["state"],
-            np.asarray(progress["steps"]),
-            num_done,
-            plans[0].config.settings.num_iterations,
-            arguments,
-            place=place,
-        ):
-            stopping = anywhere(stop()) and not report.is_last
-            going = [run for run in runs if not run.is_finished(progress)]
-            for run in going:
-                run.note(report)
-            failed = all(run.problem is not None for run in runs)
-            num_done = report.iteration
-            if not failed:
-                num_done += 1
-                progress = {"state": state, "steps": report.metrics["env_steps"]}
+        def save_all() -> None:
             if saver is not None:
-                save = failed or stopping or report.is_last or saver.is_due(num_done)
-                with together():
-                    for run in going:
-                        run.append(report, to_disk=save)
-                    if save:
-                        saver.save(num_done, progress)
-                        for run in runs:
-                            run.save(progress)
-            if failed:
-                break
-            if watch is not None:
-                watch(report)
-            if stopping:
-                raise KeyboardInterrupt
+                saver.save(num_done, progress)
+                for run in runs:
+                    run.save(progress)
+
+        if jax.process_count() == 1:  # others would wait for this one
+            stack.enter_context(interruptible(stop))
+        try:
+            for state, report in iterate(
+                update,
+                progress["state"],
+                np.asarray(progress["steps"]),
+                num_done,
+                plans[0].config.settings.num_iterations,
+                arguments,
+                place=place,
+            ):
+                stopping = anywhere(stop()) and not report.is_last
+                going = [run for run in runs if not run.is_finished(progress)]
+                for run in going:
+                    run.note(report)
+                failed = all(run.problem is not None for run in runs)
+                num_done = report.iteration
+                if not failed:
+                    num_done += 1
+                    progress = {"state": state, "steps": report.metrics["env_steps"]}
+                if saver is not None:
+                    save = failed or stopping or report.is_last or saver.is_due(num_done)
+                    with together():
+                        for run in going:
+                            run.append(report, to_disk=save)
+                        if save:
+                            save_all()
+                if failed:
+                    break
+                if watch is not None:
+                    watch(report)
+                if stopping:
+                    raise KeyboardInterrupt
+        except Interrupted:
+            save_all()
+            raise KeyboardInterrupt from None
 
         if not is_stack and runs[0].problem is not None:
             raise runs[0].problem

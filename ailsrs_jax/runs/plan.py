@@ -49,7 +49,9 @@ def plan(spec: RunSpec) -> Plan:
         UserError: something is wrong.
     """
     set_up_jax()
-    env, env_id, engine, reason = open_env(spec.env, spec.physics)
+    env, env_id, engine, reason = open_env(
+        spec.env, spec.physics, spec.workers, spec.worker_timeout
+    )
     seeds = _checked_seeds(spec)
     algorithm = find_algorithm(spec.algorithm)
     batch_size = spec.rollout_batch_size
@@ -60,7 +62,9 @@ def plan(spec: RunSpec) -> Plan:
             f"rollout_batch_size is for random search: {spec.algorithm} does not take it"
         )
     preset = preset_settings(env_id, spec.preset, spec.algorithm)
-    settings = override(preset, spec.settings)
+    limit = getattr(env, "time_limit", None)
+    settings = override(preset, {"episode_length": limit} if limit else {})
+    settings = override(settings, spec.settings)
     data = TrainingData()
     if algorithm.imitates:
         data = read_training_data(spec, env, env_id, engine)

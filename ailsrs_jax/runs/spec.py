@@ -2,9 +2,11 @@
 
 import dataclasses
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import gymnasium
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -16,8 +18,9 @@ class RunSpec:
     """A run as a person asks for it, on the command line, in Python or in a sweep.
 
     Attributes:
-        env: the task, ``Hopper-v5`` or ``hopper``; your own as ``module:attribute``; or any Brax
-            environment.
+        env: the task, ``Hopper-v5`` or ``hopper``; any environment of Gymnasium as
+            ``gymnasium:ID``; your own as ``module:attribute``; any Brax environment; or a function
+            that makes one of Gymnasium.
         demonstrations: a ``.npz`` file, ``minari:DATASET_ID``, a directory that the imitation
             library wrote, or demonstrations in memory. None stands for the expert that ships with
             the package, and ``expert:paper`` for the one with the paper's return.
@@ -32,9 +35,13 @@ class RunSpec:
         physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by name.
         rollout_batch_size: how many simulations a device runs at a time in random search; fewer
             need less memory and change the results by rounding only. By default the fastest.
+        workers: how many processes run the episodes of an environment of Gymnasium, by default one
+            for each core; or ``ray:N`` for N actors on a Ray cluster. The results do not depend on
+            it.
+        worker_timeout: seconds that an episode may take there before its worker is replaced.
     """
 
-    env: Env | str
+    env: Env | str | Callable[[], gymnasium.Env]
     demonstrations: str | Path | Demonstrations | None = None
     algorithm: str = "ailsrs"
     num_trajectories: int | None = None
@@ -44,6 +51,8 @@ class RunSpec:
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     physics: str = "auto"
     rollout_batch_size: int | None = None
+    workers: int | str | None = None
+    worker_timeout: float | None = None
 
     @property
     def command(self) -> str | None:

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
+from PIL import Image, ImageOps
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.replay import Replay
+from ailsrs_jax.show.replay import Film, Replay
 
 INSTALL = "on Debian or Ubuntu: apt-get install libegl1 libgl1, or libosmesa6"
 SHADOW_SIZE = 2048  # on a CPU MuJoCo's default of 4096 takes a third of the time of a frame
@@ -60,15 +61,20 @@ def _renders(name: str) -> bool:
     return True
 
 
-def pictures(replay: Replay, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
+def pictures(replay: Replay | Film, steps: Sequence[int], size: int) -> Iterator[np.ndarray]:
     """Yield the poses after each of ``steps`` steps as ``(size, size, 3)`` uint8.
 
     They are seen by the model's first camera, or by the viewer's free camera if it has none.
+    An environment of Gymnasium draws itself.
 
     Raises:
         UserError: there is no renderer.
     """
     require_renderer()
+    if isinstance(replay, Film):
+        for picture in replay.pictures(steps):
+            yield np.asarray(ImageOps.pad(Image.fromarray(picture), (size, size)))
+        return
     model = copy.copy(replay.model)
     model.vis.global_.offwidth = model.vis.global_.offheight = size
     model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, SHADOW_SIZE)

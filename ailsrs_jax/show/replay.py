@@ -2,9 +2,10 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -13,14 +14,16 @@ import numpy as np
 from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_name, env_sizes
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
-from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH
+from ailsrs_jax.errors import UserError, refusing
+from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
 from ailsrs_jax.runs.evaluation import EVALUATION_STREAM
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import require_seed
+from ailsrs_jax.workers.episode import begin, make
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,6 +42,71 @@ class Replay:
         return len(self.env_rewards)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Film:
+    """An episode of an environment of Gymnasium, which draws itself."""
+
+    name: str  # for gymnasium.make
+    actions: np.ndarray  # (T, p)
+    seed: int
+    env_rewards: np.ndarray  # (T,)
+    dt: float  # [s] of an environment step
+    ended: bool  # before the time limit
+
+    @property
+    def num_steps(self) -> int:
+        """T, the number of live steps."""
+        return len(self.env_rewards)
+
+    def pictures(self, steps: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield what the environment draws after each of the increasing ``steps``, uint8.
+
+        Raises:
+            UserError: it draws nothing.
+        """
+        with refusing(f"{PREFIX}{self.name} cannot be rendered"):
+            env = make(self.name, "rgb_array")
+            begin(env, self.seed)
+            time = 0
+            for step in steps:
+                for action in self.actions[time:step]:
+                    env.step(action.reshape(env.action_space.shape))
+                time = step
+                picture = env.render()
+                if not isinstance(picture, np.ndarray):
+                    raise TypeError("it has no render mode rgb_array")
+                yield picture
+            env.close()
+
+
+def film(policy: SavedPolicy, env: GymnasiumEnv, seed: int, seconds: float) -> Film:
+    """Run one episode of ``policy``, the first that ``evaluate`` runs with this seed.
+
+    Raises:
+        UserError: the environment has no name, or fails, or the episode diverges.
+    """
+    name = env.env_id.removeprefix(PREFIX)
+    with refusing(f"{env.env_id} cannot be rendered"):
+        spec = gymnasium.make(name)
+        per_second = spec.metadata.get("render_fps") or 30
+        spec.close()
+    limit = env.time_limit or EPISODE_LENGTH
+    num_steps = int(np.clip(np.ceil(seconds * per_second), 1, limit))
+    starts = jnp.array([seed])
+    episodes = roll_out(policy, env, 1, jax.random.key(seed), num_steps, starts=starts)
+    if episodes.diverged.any():
+        raise UserError("the episode diverged: the environment is unstable under this policy")
+    length = int(episodes.lengths[0])
+    return Film(
+        name=name,
+        actions=np.asarray(episodes.actions[0, :length]),
+        seed=seed,
+        env_rewards=np.asarray(episodes.env_rewards[0, :length]),
+        dt=1 / per_second,
+        ended=length < num_steps,
+    )
+
+
 def replay(
     policy: SavedPolicy,
     *,
@@ -46,7 +114,7 @@ def replay(
     physics: str = "auto",
     seed: int = 0,
     seconds: float = np.inf,
-) -> Replay:
+) -> Replay | Film:
     """Roll out one episode: the first that ``evaluate`` simulates on the same engine.
 
     Args:
@@ -64,6 +132,8 @@ def replay(
         raise UserError(f"seconds is {seconds}: it must be positive")
     require_seed(seed)
     task = open_env(policy.env_id if env is None else env, physics)
+    if isinstance(task.env, GymnasiumEnv):
+        return film(policy, task.env, seed, seconds)
     model, _ = mujoco_view(task.env)
     n, p = env_sizes(task.env)
     policy.require_shape(p, n)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
-from ailsrs_jax.envs.registry import TASKS, require_harmless
+from ailsrs_jax.envs.registry import TASKS, is_gymnasium, require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
@@ -117,9 +117,10 @@ def _evaluate(
     run: SavedRun, policies: Mapping[int, SavedPolicy], episodes: int
 ) -> tuple[dict[int, Evaluation], str]:
     """Return an evaluation for each seed, or none and the reason, such as a task that is gone."""
-    physics = "gymnasium" if run.config["env_id"] in TASKS else "auto"
+    env_id = run.config["env_id"]
+    physics = "gymnasium" if env_id in TASKS or is_gymnasium(env_id) else "auto"
     try:
-        require_harmless(run.config["env_id"], str(run.directory))
+        require_harmless(env_id, str(run.directory))
         return {seed: evaluate(p, episodes, physics) for seed, p in policies.items()}, ""
     except UserError as error:
         return {}, f"Not measured: {error}."

@@ -19,7 +19,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.show.renderer import pictures, require_renderer
-from ailsrs_jax.show.replay import Replay, replay
+from ailsrs_jax.show.replay import Film, Replay, replay
 from ailsrs_jax.show.viewer import viewer_html
 
 SUFFIXES = (".mp4", ".html")
@@ -42,7 +42,7 @@ class Animation:
         size: height and width of each picture in pixels.
     """
 
-    replays: Sequence[Replay]
+    replays: Sequence[Replay | Film]
     labels: Sequence[str]
     size: int = SIZE
 
@@ -88,8 +88,15 @@ class Animation:
         return data_uri("video/mp4", self.mp4)
 
     def viewer(self) -> str:
-        """Return Brax's viewer as an HTML page, which loads its scripts from the internet."""
-        return viewer_html(self.replays, self.labels)
+        """Return Brax's viewer as an HTML page, which loads its scripts from the internet.
+
+        Raises:
+            UserError: an environment of Gymnasium draws itself.
+        """
+        replays = [replay for replay in self.replays if isinstance(replay, Replay)]
+        if len(replays) < len(self.replays):
+            raise UserError("the viewer shows MuJoCo models: for this environment write an .mp4")
+        return viewer_html(replays, self.labels)
 
     def save(self, path: str | Path) -> None:
         """Write ``.mp4``, or ``.html`` with Brax's viewer, which needs no renderer.
@@ -250,7 +257,7 @@ def side_by_side(videos: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _captioned_pictures(
-    replay: Replay, label: str, steps: Sequence[int], size: int
+    replay: Replay | Film, label: str, steps: Sequence[int], size: int
 ) -> Iterator[np.ndarray]:
     """Yield the pictures at ``steps`` below a caption: label, return so far, time.
 

@@ -208,7 +208,9 @@ def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: Ga
     Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
         reference.require_actions("behavior_cloning_start")
-    return Gail(as_simulator(env), settings, reference)
+    simulator = as_simulator(env)
+    segments.require_steps(simulator.env, "gail")
+    return Gail(simulator, settings, reference)
 
 
 GAIL = Algorithm("GAIL", make_gail, GailSettings, presets.GAIL)

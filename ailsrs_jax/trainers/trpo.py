@@ -101,7 +101,9 @@ def make_trpo(env: Env | Simulator, settings: TrpoSettings) -> Trpo:
     """
     validate(settings)
     require_batches(settings)
-    return Trpo(as_simulator(env), settings)
+    simulator = as_simulator(env)
+    segments.require_steps(simulator.env, "trpo")
+    return Trpo(simulator, settings)
 
 
 TRPO = Algorithm(

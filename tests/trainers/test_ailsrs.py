@@ -127,6 +127,7 @@ def test_reward_of_a_rollout_in_closed_form(
     episodes = Episodes(
         *map(jnp.asarray, (observations, actions, actions[..., 0], lengths)),
         diverged=jnp.zeros(5, bool),
+        final_observations=jnp.zeros((5, 2)),
         slot_steps=lengths.sum(),
     )
     returns = trainer.judge(adversary, episodes)

@@ -3,8 +3,11 @@
 import jax
 import mujoco
 
+from ailsrs_jax.envs.physics.base import InitialState as InitialState
 from ailsrs_jax.envs.physics.base import Physics as Physics
 from ailsrs_jax.envs.physics.base import PhysicsState as PhysicsState
+from ailsrs_jax.envs.physics.base import Range as Range
+from ailsrs_jax.envs.physics.base import Trajectories as Trajectories
 from ailsrs_jax.errors import UserError
 
 ENGINES = ("mjx", "mujoco")

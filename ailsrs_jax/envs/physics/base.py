@@ -1,10 +1,39 @@
 """The interface between tasks and physics engines."""
 
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import mujoco
+import numpy as np
 from flax import struct
+
+
+class Range(NamedTuple):
+    """Consecutive numbers of a field of ``mjData``, and limits that hold for each of them."""
+
+    field: str
+    first: int = 0
+    end: int | None = None  # the first number after them
+    low: float = -np.inf
+    high: float = np.inf
+
+
+class InitialState(struct.PyTreeNode):
+    """Where an episode begins."""
+
+    qpos: jax.Array  # (nq,) float32, generalised positions [m, rad]
+    qvel: jax.Array  # (nv,) float32, generalised velocities [m/s, rad/s]
+
+
+class Trajectories(NamedTuple):
+    """B episodes of at most T steps; numbers after an episode's end are zeros."""
+
+    observations: Any  # (B, T, n) float32, what the policy saw
+    actions: Any  # (B, T, p) float32, clipped
+    records: Any  # (B, T + 1, r) float32, numbers that rewards need, at the start and later
+    final_observations: Any  # (B, n) float32, after the last step
+    lengths: Any  # (B,) int32
+    diverged: Any  # (B,) bool, the next step was not finite
 
 
 class PhysicsState(struct.PyTreeNode):

@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ailsrs_jax.envs.physics import PhysicsState
+from ailsrs_jax.envs.physics import PhysicsState, Range
 from ailsrs_jax.envs.tasks.spatial_walker import SpatialWalker
 from ailsrs_jax.errors import UserError
 
@@ -34,22 +35,20 @@ class Ant(SpatialWalker):
     def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
         return physics_state.readings["xpos"][self._main_body, 0]
 
-    def _healthy(self, physics_state: PhysicsState) -> jax.Array:
-        low, high = self.healthy_z_range
-        height = physics_state.qpos[2]
-        state = jnp.concatenate([physics_state.qpos, physics_state.qvel])
-        return jnp.isfinite(state).all() & (low <= height) & (height <= high)
-
-    def _contact_forces(self, physics_state: PhysicsState) -> jax.Array:
-        return jnp.clip(physics_state.readings["cfrc_ext"], *self.contact_force_range)
+    def _healthy_ranges(self) -> tuple[Range, ...]:
+        # The limits themselves are healthy. All numbers must be finite.
+        low, high = np.array(self.healthy_z_range, np.float32)
+        height = Range("qpos", 2, 3, np.nextafter(low, -np.inf), np.nextafter(high, np.inf))
+        return height, Range("qpos"), Range("qvel")
 
     def _contact_cost(self, physics_state: PhysicsState) -> jax.Array:
-        forces = self._contact_forces(physics_state)
+        forces = jnp.clip(physics_state.readings["cfrc_ext"], *self.contact_force_range)
         return self.contact_cost_weight * jnp.sum(jnp.square(forces))
 
     def _initial_velocity(self, key: jax.Array) -> jax.Array:
         return self._normal_velocity(key)
 
-    def _observation(self, physics_state: PhysicsState) -> jax.Array:
-        forces = {"cfrc_ext": self._contact_forces(physics_state)}
-        return super()._observation(physics_state.replace(readings=forces))
+    def _observed(self) -> tuple[Range, ...]:
+        low, high = self.contact_force_range
+        parts = super()._observed()
+        return tuple(p._replace(low=low, high=high) if p.field == "cfrc_ext" else p for p in parts)

@@ -7,8 +7,8 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.envs.physics import PhysicsState, Range
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask, all_within
 
 
 @dataclasses.dataclass(eq=False, kw_only=True)
@@ -37,10 +37,10 @@ class GymnasiumTask(MujocoTask):
             frame_skip=self.frame_skip,
             reset_noise_scale=self.reset_noise_scale,
             num_hidden_positions=self.NUM_HIDDEN_POSITIONS * excluded,
-            readings=self._needed_readings(),
+            readings=self._reward_readings(),
         )
 
-    def _needed_readings(self) -> tuple[str, ...]:
+    def _reward_readings(self) -> tuple[str, ...]:
         return ()
 
     def _reward_terms(
@@ -64,20 +64,15 @@ class Walker(GymnasiumTask):
     healthy_z_range: tuple[float, float]
 
     @abstractmethod
-    def _healthy(self, physics_state: PhysicsState) -> jax.Array:
-        """Whether the robot is healthy, ``()`` bool."""
+    def _healthy_ranges(self) -> tuple[Range, ...]:
+        """The robot is healthy while all of these numbers are strictly within their limits."""
+
+    def _limits(self) -> tuple[Range, ...]:
+        return self._healthy_ranges() if self.terminate_when_unhealthy else ()
 
     def _reward_terms(
         self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         terms = super()._reward_terms(before, after, action)
-        return terms | {"reward_survive": self.healthy_reward * self._healthy(after)}
-
-    def _terminated(self, physics_state: PhysicsState) -> jax.Array:
-        return self.terminate_when_unhealthy & ~self._healthy(physics_state)
-
-
-def inside(value: jax.Array, limits: tuple[float, float]) -> jax.Array:
-    """Whether each ``value`` is strictly between two ``limits``."""
-    low, high = limits
-    return (low < value) & (value < high)
+        healthy = all_within(after, self._healthy_ranges())
+        return terms | {"reward_survive": self.healthy_reward * healthy}

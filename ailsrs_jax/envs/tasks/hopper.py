@@ -2,11 +2,7 @@
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
-
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.tasks.gymnasium_task import inside
+from ailsrs_jax.envs.physics import Range
 from ailsrs_jax.envs.tasks.planar_walker import PlanarWalker
 
 
@@ -19,7 +15,8 @@ class Hopper(PlanarWalker):
     healthy_z_range: tuple[float, float] = (0.7, float("inf"))
     healthy_angle_range: tuple[float, float] = (-0.2, 0.2)
 
-    def _healthy(self, physics_state: PhysicsState) -> jax.Array:
+    def _healthy_ranges(self) -> tuple[Range, ...]:
         # Everything but the horizontal position and the height, velocities included.
-        state = jnp.concatenate([physics_state.qpos[2:], physics_state.qvel])
-        return super()._healthy(physics_state) & jnp.all(inside(state, self.healthy_state_range))
+        low, high = self.healthy_state_range
+        state = Range("qpos", 2, low=low, high=high), Range("qvel", low=low, high=high)
+        return *super()._healthy_ranges(), *state

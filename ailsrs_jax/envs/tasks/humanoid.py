@@ -6,8 +6,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.tasks.gymnasium_task import inside
+from ailsrs_jax.envs.physics import PhysicsState, Range
 from ailsrs_jax.envs.tasks.spatial_walker import SpatialWalker
 
 
@@ -44,8 +43,8 @@ class Humanoid(SpatialWalker):
         # The centre of mass, as a sum: a matrix product in TF32 would round it to centimetres.
         return jnp.sum(self._mass_fractions * physics_state.readings["xipos"][:, 0])
 
-    def _healthy(self, physics_state: PhysicsState) -> jax.Array:
-        return inside(physics_state.qpos[2], self.healthy_z_range)
+    def _healthy_ranges(self) -> tuple[Range, ...]:
+        return (Range("qpos", 2, 3, *self.healthy_z_range),)
 
     def _contact_cost(self, physics_state: PhysicsState) -> jax.Array:
         forces = physics_state.readings["cfrc_ext"]

@@ -1,9 +1,12 @@
 """The base class of MuJoCo locomotion tasks, as a Brax environment."""
 
+import functools
 import importlib.util
 import os
 from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +14,22 @@ import mujoco
 import numpy as np
 
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.envs.physics import Physics, PhysicsState, make_physics
+from ailsrs_jax.envs.physics import (
+    InitialState,
+    Physics,
+    PhysicsState,
+    Range,
+    Trajectories,
+    make_physics,
+)
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner
+
+STATE = ("qpos", "qvel")  # the fields of ``mjData`` that every state has
 
 
 class MujocoTask(Env):
@@ -24,9 +40,10 @@ class MujocoTask(Env):
     terminal state, and later states are meaningless.
 
     It is also the base class of your own tasks, with any model whose actuators have a
-    ``ctrlrange``. A subclass defines the terms of the reward and, where they differ, the
-    termination, reset noise and observation. As in Gymnasium, actions are not clipped here: MuJoCo
-    clamps the controls, and the control cost is computed from the action as given.
+    ``ctrlrange``. A subclass defines the terms of the reward and, where they differ, the reset
+    noise, the observed numbers (``_observed``) and the limits beyond which an episode ends
+    (``_limits``). As in Gymnasium, actions are not clipped here: MuJoCo clamps the controls, and
+    the control cost is computed from the action as given.
     """
 
     def __init__(
@@ -48,13 +65,16 @@ class MujocoTask(Env):
             frame_skip: physics steps per environment step.
             reset_noise_scale: size of the noise on the initial positions and velocities.
             num_hidden_positions: number of leading entries of ``qpos`` that are not observed.
-            readings: fields of ``mjData`` that the task needs besides ``qpos`` and ``qvel``.
+            readings: fields of ``mjData`` that the reward needs besides ``qpos`` and ``qvel``.
         """
         model = load_model(xml_file)
-        self.physics: Physics = make_physics(physics, model, frame_skip, readings)
-        self.dt = float(model.opt.timestep) * frame_skip
-        self._reset_noise_scale = reset_noise_scale
         self._num_hidden_positions = num_hidden_positions
+        sensed = [part.field for part in (*self._observed(), *self._limits())]
+        needed = dict.fromkeys(name for name in (*readings, *sensed) if name not in STATE)
+        self.physics: Physics = make_physics(physics, model, frame_skip, tuple(needed))
+        self.dt = float(model.opt.timestep) * frame_skip
+        self._readings = readings
+        self._reset_noise_scale = reset_noise_scale
         self._initial_qpos = jnp.asarray(model.qpos0, jnp.float32)
         self.action_low = np.float32(model.actuator_ctrlrange[:, 0])
         self.action_high = np.float32(model.actuator_ctrlrange[:, 1])
@@ -62,8 +82,9 @@ class MujocoTask(Env):
     @property
     def observation_size(self) -> int:
         """Length n of an observation."""
-        model = self.physics.model
-        return int(model.nq + model.nv - self._num_hidden_positions)
+        data = mujoco.MjData(self.physics.model)
+        parts = self._observed()
+        return sum(len(getattr(data, part.field).ravel()[part.first : part.end]) for part in parts)
 
     @property
     def action_size(self) -> int:
@@ -73,25 +94,32 @@ class MujocoTask(Env):
     @property
     def ends_early(self) -> bool:
         """Whether an episode can end before its time limit."""
-        return type(self)._terminated is not MujocoTask._terminated
+        overridden = type(self)._terminated is not MujocoTask._terminated
+        return overridden or len(self._limits()) > 0
 
     @property
     def backend(self) -> str:
         """The physics engine's name."""
         return self.physics.name
 
-    def reset(self, rng: jax.Array) -> State:
-        """Start an episode from the initial pose plus noise drawn with the key ``rng``."""
-        qpos_key, qvel_key = jax.random.split(rng)
+    def draw_start(self, key: jax.Array) -> InitialState:
+        """Return the model's initial pose plus noise drawn with ``key``."""
+        qpos_key, qvel_key = jax.random.split(key)
         noise = self._reset_noise_scale
         qpos = self._initial_qpos + jax.random.uniform(
             qpos_key, self._initial_qpos.shape, minval=-noise, maxval=noise
         )
-        physics_state = self.physics.init(qpos, self._initial_velocity(qvel_key))
+        return InitialState(qpos, self._initial_velocity(qvel_key))
+
+    def reset(self, rng: jax.Array) -> State:
+        """Start an episode at :meth:`draw_start` of the key ``rng``."""
+        return self.start(self.draw_start(rng))
+
+    def start(self, initial: InitialState) -> State:
+        """Start an episode at ``initial``."""
+        physics_state = self.physics.init(initial.qpos, initial.qvel)
         action = jnp.zeros(self.action_size)
-        zeros = jax.tree.map(
-            jnp.zeros_like, self._reward_terms(physics_state, physics_state, action)
-        )
+        zeros = jax.tree.map(jnp.zeros_like, self._rewards(physics_state, physics_state, action))
         return State(
             pipeline_state=physics_state,
             obs=self._observation(physics_state),
@@ -104,7 +132,7 @@ class MujocoTask(Env):
         """Apply ``action (p,)`` for ``frame_skip`` physics steps."""
         before = state.pipeline_state
         after = self.physics.step(before, action, state.done == 0)
-        terms = self._reward_terms(before, after, action)
+        terms = self._rewards(before, after, action)
         return state.replace(
             pipeline_state=after,
             obs=self._observation(after),
@@ -114,19 +142,93 @@ class MujocoTask(Env):
             metrics=state.metrics | terms | self._positions(after),
         )
 
+    @property
+    def runs_episodes(self) -> bool:
+        """Whether :meth:`run_episodes` can be called.
+
+        It needs MuJoCo's C engine. A subclass may define the reward, the initial state,
+        ``_observed`` and ``_limits``; what it computes otherwise, only :meth:`step` knows.
+        """
+        methods = ("reset", "start", "step", "_observation", "_terminated")
+        theirs, ours = (
+            [getattr(task, name) for name in methods] for task in (type(self), MujocoTask)
+        )
+        return self.physics.name == "mujoco" and theirs == ours
+
+    def run_episodes(
+        self,
+        sizes: Sequence[int],
+        policies: Sequence[jax.Array],
+        starts: InitialState,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[Trajectories, jax.Array]:
+        """Simulate an episode of each of B policies, on all cores.
+
+        Args:
+            sizes: the ``sizes`` of all policies; see
+                :class:`~ailsrs_jax.envs.physics.episode_loop.Perceptron`.
+            policies: its other arrays, each with a first axis of B.
+            starts: of each episode.
+            noise: ``(B, T, p)``, added to the actions before they are clipped; ``(B, 0, p)`` for
+                none.
+            episode_length: T, the time limit in environment steps.
+
+        Returns:
+            The episodes, and rewards ``(B, T)`` that mean nothing after an episode's end.
+        """
+        episodes = self._episode_runner(sizes, policies, starts, noise, episode_length)
+        readings = dict(episodes.records)
+        qpos, qvel = readings.pop("qpos"), readings.pop("qvel")
+        states = PhysicsState(qpos, qvel, carry=jnp.zeros(qpos.shape[:2]), readings=readings)
+        before = jax.tree.map(lambda x: x[:, :-1], states)
+        after = jax.tree.map(lambda x: x[:, 1:], states)
+        terms = jax.vmap(jax.vmap(self._reward_terms))(before, after, episodes.actions)
+        return episodes, jnp.sum(jnp.stack(list(terms.values())), axis=0)
+
+    @functools.cached_property
+    def _episode_runner(self) -> "EpisodeRunner":
+        from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner  # slow to import
+
+        return EpisodeRunner(
+            self.physics.model,
+            self.physics.frame_skip,
+            available_cores(),
+            observed=self._observed(),
+            limits=self._limits(),
+            recorded=(*STATE, *self._readings),
+        )
+
     @abstractmethod
     def _reward_terms(
         self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
         """The terms whose sum is the environment's reward, under Gymnasium's names."""
 
+    def _rewards(
+        self, before: PhysicsState, after: PhysicsState, action: jax.Array
+    ) -> dict[str, jax.Array]:
+        """The terms of the reward, computed from nothing but what was asked for it."""
+        before, after = (
+            state.replace(readings={name: state.readings[name] for name in self._readings})
+            for state in (before, after)
+        )
+        return self._reward_terms(before, after, action)
+
+    def _observed(self) -> tuple[Range, ...]:
+        """The numbers of ``mjData`` that are observed, each clipped to its limits."""
+        return Range("qpos", first=self._num_hidden_positions), Range("qvel")
+
+    def _limits(self) -> tuple[Range, ...]:
+        """An episode ends when one of these numbers is no longer strictly within its limits."""
+        return ()
+
     def _terminated(self, physics_state: PhysicsState) -> jax.Array:
-        del physics_state
-        return jnp.zeros((), bool)
+        return ~all_within(physics_state, self._limits())
 
     def _observation(self, physics_state: PhysicsState) -> jax.Array:
-        positions = physics_state.qpos[self._num_hidden_positions :]
-        return jnp.concatenate([positions, physics_state.qvel])
+        parts = self._observed()
+        return jnp.concatenate([jnp.clip(read(physics_state, p), p.low, p.high) for p in parts])
 
     def _positions(self, physics_state: PhysicsState) -> dict[str, jax.Array]:
         return {"x_position": physics_state.qpos[0]}
@@ -143,6 +245,20 @@ class MujocoTask(Env):
 
     def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
         return physics_state.qpos[0]
+
+
+def read(physics_state: PhysicsState, part: Range) -> jax.Array:
+    """Return the numbers of ``part``, ``(k,)``."""
+    in_state = part.field in STATE
+    field = getattr(physics_state, part.field) if in_state else physics_state.readings[part.field]
+    return field.ravel()[part.first : part.end]
+
+
+def all_within(physics_state: PhysicsState, limits: tuple[Range, ...]) -> jax.Array:
+    """Whether all numbers are strictly within their limits, ``()`` bool."""
+    parts = [(read(physics_state, part), part) for part in limits]
+    within = [jnp.all((part.low < numbers) & (numbers < part.high)) for numbers, part in parts]
+    return jnp.all(jnp.array(within))
 
 
 def load_model(xml_file: str) -> mujoco.MjModel:

@@ -3,10 +3,9 @@
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.tasks.gymnasium_task import Walker, inside
+from ailsrs_jax.envs.physics import PhysicsState, Range
+from ailsrs_jax.envs.tasks.gymnasium_task import Walker
 
 MAX_OBSERVED_SPEED = 10.0  # Gymnasium clips the observed velocities [m/s, rad/s]
 
@@ -20,13 +19,14 @@ class PlanarWalker(Walker):
     healthy_angle_range: tuple[float, float]
     reset_noise_scale: float = 5e-3
 
-    def _healthy(self, physics_state: PhysicsState) -> jax.Array:
-        _, height, pitch = physics_state.qpos[:3]
-        return inside(height, self.healthy_z_range) & inside(pitch, self.healthy_angle_range)
+    def _healthy_ranges(self) -> tuple[Range, ...]:
+        height = Range("qpos", 1, 2, *self.healthy_z_range)
+        pitch = Range("qpos", 2, 3, *self.healthy_angle_range)
+        return height, pitch
 
-    def _observation(self, physics_state: PhysicsState) -> jax.Array:
-        velocities = jnp.clip(physics_state.qvel, -MAX_OBSERVED_SPEED, MAX_OBSERVED_SPEED)
-        return super()._observation(physics_state.replace(qvel=velocities))
+    def _observed(self) -> tuple[Range, ...]:
+        positions, velocities = super()._observed()
+        return positions, velocities._replace(low=-MAX_OBSERVED_SPEED, high=MAX_OBSERVED_SPEED)
 
     def _positions(self, physics_state: PhysicsState) -> dict[str, jax.Array]:
         height = physics_state.qpos[1] - self._initial_qpos[1]

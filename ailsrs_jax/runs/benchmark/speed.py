@@ -1,4 +1,4 @@
-"""Measure the speed of bare physics, rollouts, training steps and installed peers."""
+"""Measure the speed of bare physics, episodes, training steps and installed peers."""
 
 import concurrent.futures
 import contextlib
@@ -14,23 +14,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import mujoco.rollout
 import numpy as np
 
-from ailsrs_jax.components import random_search
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs.physics import PhysicsState
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.benchmark import peers
+from ailsrs_jax.runs.benchmark.replay import bare, compiled, limit
+from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.exploration import explore
-from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
+from ailsrs_jax.trainers.parts.exploration import explore, start_keys
+from ailsrs_jax.trainers.parts.rollout import Simulator
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +37,7 @@ class Row:
 
     env: str
     physics: str  # the engine, ours or the peer's
-    stage: str  # bare, rollout, train or peer:NAME
+    stage: str  # limit, bare, simulate, train or peer:NAME
     env_steps_per_s: float  # steps of episodes that have not ended; the median of the repeats
     compile_s: float | None
     peak_memory_mb: float  # of the measuring process or, if there is one, its accelerator
@@ -66,19 +64,22 @@ class Stage(NamedTuple):
 def benchmark(
     env_ids: Sequence[str],
     engines: Sequence[str],
-    num_directions: int,
+    num_directions: int | None,
     episode_length: int,
     repeats: int,
 ) -> Iterator[Measurement]:
     """Measure every task on every engine and with every peer, each in its own process.
+
+    Without ``num_directions`` each task gets as many as in the preset ``tuned``.
 
     Raises:
         UserError: a measurement failed that is not a peer's.
     """
     for env_id in env_ids:
         speeds: dict[str, float] = {}
+        size = num_directions or preset_settings(env_id, "tuned").num_directions
         for engine in engines:
-            arguments = (env_id, engine, num_directions, episode_length, repeats)
+            arguments = (env_id, engine, size, episode_length, repeats)
             measurement = _in_a_process(measure, *arguments)
             speeds[engine] = measurement.rows[-1].env_steps_per_s
             yield measurement
@@ -86,7 +87,7 @@ def benchmark(
             if env_id not in TASKS or not peer.is_installed():
                 continue
             try:
-                row = _in_a_process(measure_peer, name, env_id, num_directions, episode_length)
+                row = _in_a_process(measure_peer, name, env_id, size, episode_length)
             except UserError as error:  # a peer that fails does not end the benchmark
                 yield Measurement((), {}, str(error))
                 continue
@@ -100,35 +101,43 @@ def benchmark(
 def measure(
     env_id: str, engine: str, num_directions: int, episode_length: int, repeats: int
 ) -> Measurement:
-    """Measure bare physics, the rollout and the training step of a task on an engine, in turns.
+    """Measure the stages of a task on an engine, in turns; ratios compare speeds of the same turn.
 
-    All three simulate the first iteration of the paper's preset, from weights of zero. Ratios
-    compare speeds of the same turn. Bare physics replays the rollout's actions from the same
-    initial states, one environment step in a call, without policies, observations, rewards or ends
-    of episodes.
+    ``train`` is the second iteration of the preset ``tuned`` with ten demonstrations of the shipped
+    expert, ``simulate`` its episodes. ``limit`` and ``bare`` replay the actions of these episodes
+    from the same initial states, without policies, observations or rewards. ``limit`` runs
+    whole episodes on all cores, the longest first; only the C engine can do so. ``bare`` makes one
+    step of all episodes at a time, up to the time limit.
     """
     set_up_jax()
     env = make_env(env_id, engine)
+    preset = preset_settings(env_id, "tuned")
     settings = dataclasses.replace(
-        preset_settings(env_id, "paper"),
+        preset,
         num_directions=num_directions,
-        num_top_directions=num_directions,
+        num_top_directions=min(preset.num_top_directions, num_directions),
         episode_length=episode_length,
-        behavior_cloning_start=False,
     )
-    simulator = _shared_evenly(choose_simulator(env), 2 * num_directions)
-    trainer = make_ailsrs(simulator, _demonstrations(env), settings)
+    num_episodes = 2 * num_directions + settings.num_evaluation_episodes
+    simulator = _shared_evenly(choose_simulator(env), num_episodes)
+    trainer = make_ailsrs(simulator, _demonstrations(env, env_id, engine), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
-    noise_key, reset_key = jax.random.split(jax.random.key(1))
-    rollout, rollout_compile_s = _compile(_rollout(trainer, state, noise_key, reset_key))
-    update, update_compile_s = _compile(trainer.update, state)
-    episodes = rollout()
-    bare, bare_compile_s = _bare(simulator, np.asarray(episodes.actions), reset_key)
+    update, update_compile_s = compiled(trainer.update, state)
+    state, _ = update(state)
+    key = jax.random.key(1)
+    starts = jax.jit(jax.vmap(env.draw_start))(start_keys(key, settings))
+    simulate, simulate_compile_s = compiled(_episodes(trainer, state, key))
+    episodes = simulate()
+    actions, lengths = np.asarray(episodes.actions), np.asarray(episodes.lengths)
+    replay, bare_compile_s = bare(simulator, starts, actions)
     stages = {
-        "bare": Stage(bare, 2 * num_directions * episode_length, bare_compile_s),
-        "rollout": Stage(rollout, int(episodes.env_steps), rollout_compile_s),
+        "bare": Stage(replay, actions[..., 0].size, bare_compile_s),
+        "simulate": Stage(simulate, int(lengths.sum()), simulate_compile_s),
         "train": Stage(lambda: update(state), int(update(state)[1]["env_steps"]), update_compile_s),
     }
+    if engine == "mujoco":
+        whole = Stage(limit(env, starts, actions, lengths), int(lengths.sum()), 0.0)
+        stages = {"limit": whole, **stages}
     speeds: dict[str, list[float]] = {name: [] for name in stages}
     for _ in range(repeats):
         for name, stage in stages.items():
@@ -145,15 +154,17 @@ def measure(
             env_steps_per_s=float(np.median(speeds[name])),
             compile_s=stage.compile_s,
             peak_memory_mb=memory,
-            utilization=utilization if name == "rollout" and engine == "mjx" else None,
+            utilization=utilization if name == "simulate" and engine == "mjx" else None,
         )
         for name, stage in stages.items()
     )
     ratios = {
-        f"{env_id} {engine} {name} / bare": float(
-            np.median(np.divide(speeds[name], speeds["bare"]))
+        f"{env_id} {engine} {name} / {whole}": float(
+            np.median(np.divide(speeds[name], speeds[whole]))
         )
-        for name in ("rollout", "train")
+        for whole in ("limit", "bare")
+        for name in ("simulate", "train")
+        if whole in speeds
     }
     return Measurement(rows, ratios)
 
@@ -184,8 +195,10 @@ def _silenced() -> Iterator[None]:
             os.close(stderr)
 
 
-def _demonstrations(env: MujocoTask) -> Demonstrations:
-    """Return ten episodes of noise, because the speed does not depend on their content."""
+def _demonstrations(env: MujocoTask, env_id: str, engine: str) -> Demonstrations:
+    """Return ten episodes of the shipped expert; of noise for a task of the user's own."""
+    if env_id in TASKS:
+        return expert_demonstrations(env_id, 10, engine)
     rng = np.random.default_rng(0)
     return Demonstrations(
         observations=rng.normal(size=(10, 1000, env.observation_size)).astype(np.float32),
@@ -204,73 +217,15 @@ def _shared_evenly(simulator: Simulator, num_episodes: int) -> Simulator:
     return dataclasses.replace(simulator, mesh=mesh)
 
 
-def _rollout(
-    trainer: Ailsrs, state: TrainState, noise_key: jax.Array, reset_key: jax.Array
-) -> Callable[[], Episodes]:
-    """Return a program that simulates the episodes of the perturbed policies."""
-    settings = dataclasses.replace(trainer.settings, num_evaluation_episodes=0)
+def _episodes(trainer: Ailsrs, state: TrainState, key: jax.Array) -> Callable[[], Episodes]:
+    """Return a program that simulates the episodes of an iteration."""
 
-    def rollout() -> Episodes:
-        deltas = random_search.sample_directions(
-            noise_key, settings.num_directions, state.weights.shape
-        )
+    def simulate() -> Episodes:
         policy = trainer.policy(state.weights, state.statistics)
-        return explore(trainer.simulator, policy, deltas, reset_key, settings).episodes
+        deltas = trainer.ask(jax.random.key(2))
+        return explore(trainer.simulator, policy, deltas, key, trainer.settings).episodes
 
-    return rollout
-
-
-def _bare(
-    simulator: Simulator, actions: np.ndarray, reset_key: jax.Array
-) -> tuple[Callable[[], Any], float]:
-    """Return a program that replays ``actions (B, T, p)``, and how long it took to compile."""
-    env = simulator.env
-    _, exploration_key = jax.random.split(reset_key)
-    keys = jax.random.split(exploration_key, (2, len(actions) // 2)).ravel()
-    initial = jax.jit(jax.vmap(env.reset))(keys).pipeline_state
-    if env.physics.name == "mujoco":
-        return _bare_mujoco(env, initial, actions), 0.0
-
-    def share(state: PhysicsState, actions: jax.Array) -> jax.Array:
-        step, live = jax.vmap(env.physics.step, (0, 0, None)), jax.numpy.array(True)
-        state, _ = jax.lax.scan(
-            lambda s, a: (step(s, a, live), None), state, actions.swapaxes(0, 1)
-        )
-        return state.qpos
-
-    if simulator.mesh is not None:
-        spec = jax.sharding.PartitionSpec(AXIS)
-        share = jax.shard_map(
-            share, mesh=simulator.mesh, in_specs=spec, out_specs=spec, check_vma=False
-        )
-    replay, compile_s = _compile(share, initial, actions)
-    return lambda: replay(initial, actions), compile_s
-
-
-def _bare_mujoco(env: MujocoTask, initial: PhysicsState, actions: np.ndarray) -> Callable[[], None]:
-    model, frame_skip, cores = env.physics.model, env.physics.frame_skip, available_cores()
-    first = np.zeros((len(actions), 1 + model.nq + model.nv))  # time, positions, velocities
-    first[:, 1:] = np.concatenate([initial.qpos, initial.qvel], axis=1)
-    controls = np.repeat(actions, frame_skip, axis=1).astype(float)
-    data = [mujoco.MjData(model) for _ in range(cores)]
-    pool = mujoco.rollout.Rollout(nthread=cores)
-
-    def replay() -> None:
-        # One environment step in a call, as with a policy, which needs the state to choose the next
-        # action. Fifty in a call, which keep a simulation in the cache, were 11 % faster on
-        # HalfCheetah and 5 % on Hopper.
-        state = first
-        for start in range(0, controls.shape[1], frame_skip):
-            steps, _ = pool.rollout(model, data, state, controls[:, start : start + frame_skip])
-            state = steps[:, -1]
-
-    return replay
-
-
-def _compile(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..., Any], float]:
-    started = time.perf_counter()
-    compiled = jax.jit(function).lower(*arguments).compile()
-    return compiled, time.perf_counter() - started
+    return simulate
 
 
 def _peak_memory_mb() -> float:

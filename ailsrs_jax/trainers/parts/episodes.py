@@ -24,6 +24,7 @@ class Episodes(struct.PyTreeNode):
     env_rewards: jax.Array  # (B, T) of the environment; NaN for a step that diverged
     lengths: jax.Array  # (B,) int32, steps until the episode ended
     diverged: jax.Array  # (B,) bool, it ended because the next step was not finite
+    final_observations: jax.Array  # (B, n), after the last step
     slot_steps: jax.Array  # () int32, steps of the slots that simulated it, busy or idle
     mesh: Mesh | None = struct.field(pytree_node=False, default=None)  # that shares the episodes
 
@@ -58,6 +59,7 @@ class Episodes(struct.PyTreeNode):
             env_rewards=self._everywhere(self.env_rewards[:num_episodes]),
             lengths=self._everywhere(self.lengths[:num_episodes]),
             diverged=self._everywhere(self.diverged[:num_episodes]),
+            final_observations=self._everywhere(self.final_observations[:num_episodes]),
             mesh=None,
         )
 
@@ -119,6 +121,7 @@ def empty_episodes(policies: Policy, observations: jax.Array, episode_length: in
         env_rewards=jnp.zeros((num_episodes, episode_length)),
         lengths=jnp.zeros(num_episodes, jnp.int32),
         diverged=jnp.zeros(num_episodes, bool),
+        final_observations=observations,
         slot_steps=jnp.zeros((), jnp.int32),
     )
 

@@ -59,15 +59,20 @@ def explore(
     num_evaluations = settings.num_evaluation_episodes
     perturbed = random_search.perturb(policy.weights, deltas, settings.noise_std)
     unperturbed = jnp.tile(policy.weights, (num_evaluations, 1, 1))
-    evaluation_key, search_key = jax.random.split(key)
-    keys = (
-        jax.random.split(evaluation_key, num_evaluations),
-        jax.random.split(search_key, (2, len(deltas))).ravel(),
-    )
     episodes = simulator(
         # The unperturbed policy comes first, because its episodes are often the longest.
         policy.with_weights(jnp.concatenate([unperturbed, perturbed])),
-        jnp.concatenate(keys),
+        start_keys(key, settings),
         settings.episode_length,
     )
     return Exploration(episodes, num_evaluations)
+
+
+def start_keys(key: jax.Array, settings: Any) -> jax.Array:
+    """Return the ``(E + 2N,)`` keys of the initial states of :func:`explore`."""
+    evaluation_key, search_key = jax.random.split(key)
+    keys = (
+        jax.random.split(evaluation_key, settings.num_evaluation_episodes),
+        jax.random.split(search_key, (2, settings.num_directions)).ravel(),
+    )
+    return jnp.concatenate(keys)

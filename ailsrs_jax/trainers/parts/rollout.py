@@ -8,13 +8,16 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ailsrs_jax.components.policy import Policy
-from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
+from ailsrs_jax.envs import Env, State
+from ailsrs_jax.envs.divergence import LARGEST, has_diverged
+from ailsrs_jax.envs.physics import InitialState
 from ailsrs_jax.trainers.parts.episodes import Episodes, empty_episodes
 from ailsrs_jax.trainers.parts.slots import simulate_in_slots
 
 AXIS = "episodes"  # of a mesh of devices
+
+Starts = jax.Array | InitialState
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,24 +48,24 @@ class Simulator:
     def __call__(
         self,
         policies: Policy,
-        reset_keys: jax.Array,
+        starts: Starts,
         episode_length: int,
         noise: jax.Array | None = None,
     ) -> Episodes:
         """Simulate one episode of each policy; see :func:`simulate`."""
         if self.mesh is None:
-            return simulate(self.env, policies, reset_keys, episode_length, self.batch_size, noise)
-        num_episodes = len(reset_keys)
+            return simulate(self.env, policies, starts, episode_length, self.batch_size, noise)
+        num_episodes = len(policies.mean)
         # A batch that does not divide evenly is filled up with copies of its last episode.
         index = jnp.minimum(
             jnp.arange(-num_episodes % self.mesh.size + num_episodes), num_episodes - 1
         )
-        inputs = (policies, reset_keys, noise)
+        inputs = (policies, starts, noise)
         if len(index) > num_episodes:
             inputs = jax.tree.map(lambda x: x[index], inputs)
 
-        def share(policies: Policy, keys: jax.Array, noise: jax.Array | None) -> Episodes:
-            mine = simulate(self.env, policies, keys, episode_length, self.batch_size, noise)
+        def share(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
+            mine = simulate(self.env, policies, starts, episode_length, self.batch_size, noise)
             return mine.replace(slot_steps=jax.lax.psum(mine.slot_steps, AXIS))
 
         part: Any = PartitionSpec(AXIS)
@@ -71,7 +74,7 @@ class Simulator:
             share,
             mesh=self.mesh,
             in_specs=part,
-            out_specs=Episodes(part, part, part, part, part, slot_steps=whole),
+            out_specs=Episodes(part, part, part, part, part, part, slot_steps=whole),
             check_vma=False,
         )(*inputs)
         if len(index) > num_episodes:
@@ -87,15 +90,18 @@ def as_simulator(env: Env | Simulator) -> Simulator:
 def simulate(
     env: Env,
     policies: Policy,
-    reset_keys: jax.Array,
+    starts: Starts,
     episode_length: int,
     batch_size: int | None = None,
     noise: jax.Array | None = None,
 ) -> Episodes:
     """Simulate one episode of each policy.
 
-    The loop ends when the last episode does. An episode also ends where it diverges, before the
-    step that is not finite (:mod:`~ailsrs_jax.envs.divergence`).
+    MuJoCo's C engine runs whole episodes, each on one thread, and Gymnasium's environments do so in
+    worker processes; ``batch_size`` has no effect there.
+    Elsewhere all episodes are stepped together, in a loop that ends when the last episode does.
+    An episode also ends where it diverges, before the step that is not finite
+    (:mod:`~ailsrs_jax.envs.divergence`).
 
     Under ``jax.vmap`` the new axis is merged into the batch, so that several seeds still are one
     loop with one batch of simulations; XLA's own rule would copy the whole trajectory at every
@@ -104,7 +110,8 @@ def simulate(
     Args:
         env: a Brax environment without auto-reset; ``done`` ends an episode.
         policies: a batch of B policies.
-        reset_keys: ``(B,)`` keys for the initial states.
+        starts: of each episode: ``(B,)`` keys of the initial states; or states, which MuJoCo tasks
+            and Gymnasium's MuJoCo environments take; or seeds, which Gymnasium's environments take.
         episode_length: T, the time limit in environment steps.
         batch_size: simulations at a time; by default all B. See
             :mod:`~ailsrs_jax.trainers.parts.slots`.
@@ -112,12 +119,16 @@ def simulate(
     """
 
     @merge_vmapped_axis
-    def of_all(policies: Policy, reset_keys: jax.Array, noise: jax.Array | None) -> Episodes:
-        if batch_size is None or batch_size >= len(reset_keys):
-            return _simulate(env, policies, reset_keys, noise, episode_length)
-        return simulate_in_slots(env, policies, reset_keys, noise, episode_length, batch_size)
+    def of_all(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
+        if getattr(env, "runs_episodes", False) and isinstance(policies, LinearPolicy | MlpPolicy):
+            return _run_on_threads(env, policies, starts, noise, episode_length)
+        reset = env.start if isinstance(starts, InitialState) else env.reset
+        initial = jax.vmap(reset)(starts)
+        if batch_size is None or batch_size >= len(initial.obs):
+            return _simulate(env, policies, initial, noise, episode_length)
+        return simulate_in_slots(env, policies, initial, noise, episode_length, batch_size)
 
-    episodes: Episodes = of_all(policies, reset_keys, noise)
+    episodes: Episodes = of_all(policies, starts, noise)
     return episodes
 
 
@@ -147,15 +158,63 @@ def merge_vmapped_axis(function: Callable[..., Any]) -> Callable[..., Any]:
     return merged
 
 
-def _simulate(
-    env: Env,
+def _run_on_threads(
+    env: Any,
     policies: Policy,
-    reset_keys: jax.Array,
+    starts: Starts,
     noise: jax.Array | None,
     episode_length: int,
 ) -> Episodes:
-    """Simulate all episodes at once."""
-    initial = jax.vmap(env.reset)(reset_keys)
+    """Let the environment run whole episodes; see ``MujocoTask.run_episodes``."""
+    if not isinstance(starts, InitialState) and jnp.issubdtype(starts.dtype, jax.dtypes.prng_key):
+        starts = jax.vmap(env.draw_start)(starts)
+    num_episodes, num_actions = policies.action_low.shape
+    if noise is None:
+        noise = jnp.zeros((num_episodes, 0, num_actions))
+    weights, biases = policies.layers
+    parameters = [
+        array.reshape(num_episodes, -1)
+        for matrix, bias in zip(weights, biases, strict=True)
+        for array in (matrix.swapaxes(1, 2), bias)
+    ]
+    run, rewards = env.run_episodes(
+        sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
+        policies=(
+            jnp.concatenate(parameters, axis=1),
+            policies.mean,
+            policies.std,
+            policies.action_low,
+            policies.action_high,
+        ),
+        starts=starts,
+        noise=noise,
+        episode_length=episode_length,
+    )
+    time = jnp.arange(episode_length)
+    # Comparisons with NaN are false.
+    absurd = (time < run.lengths[:, None]) & ~(jnp.abs(rewards) <= LARGEST)
+    lengths = jnp.where(absurd.any(axis=1), absurd.argmax(axis=1), run.lengths)
+    diverged = run.diverged | absurd.any(axis=1)
+    rewards = jnp.where(time < lengths[:, None], rewards, 0.0)
+    return Episodes(
+        observations=run.observations,
+        actions=run.actions,
+        env_rewards=jnp.where(diverged[:, None] & (time == lengths[:, None]), jnp.nan, rewards),
+        lengths=lengths,
+        diverged=diverged,
+        final_observations=run.final_observations,
+        slot_steps=run.lengths.sum(),
+    )
+
+
+def _simulate(
+    env: Env,
+    policies: Policy,
+    initial: State,
+    noise: jax.Array | None,
+    episode_length: int,
+) -> Episodes:
+    """Simulate all episodes at once, step by step."""
     episodes = empty_episodes(policies, initial.obs, episode_length)
 
     def advance(carry: tuple[Any, jax.Array, Episodes]) -> tuple[Any, jax.Array, Episodes]:
@@ -178,6 +237,7 @@ def _simulate(
             env_rewards=record(episodes.env_rewards, rewards, alive),
             lengths=episodes.lengths + usable,
             diverged=episodes.diverged | diverged,
+            final_observations=jnp.where(usable[:, None], after.obs, episodes.final_observations),
             slot_steps=episodes.slot_steps + len(alive),
         )
         over = ~usable | (after.done != 0)

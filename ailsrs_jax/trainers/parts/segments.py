@@ -9,6 +9,7 @@ from flax import struct
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis
 
 
@@ -44,6 +45,15 @@ class Steps(struct.PyTreeNode):
             "episodes": jnp.sum(self.over & ~self.copied) + diverged,
             "diverged": diverged,
         }
+
+
+def require_steps(env: Env, algorithm: str) -> None:
+    """Raise UserError unless ``env`` can be simulated step by step."""
+    if not hasattr(env, "step"):
+        raise UserError(
+            f"{algorithm} needs an environment that goes on from one batch of steps to the next, "
+            "and those of Gymnasium run whole episodes: use ailsrs, bc, ars or brs"
+        )
 
 
 def begin(env: Env, key: jax.Array, num_envs: int) -> RunningEnvs:

@@ -28,7 +28,7 @@ Carry = tuple[Slots, jax.Array, Episodes]  # with the index of the next episode 
 def simulate_in_slots(
     env: Env,
     policies: Policy,
-    reset_keys: jax.Array,
+    initial: State,
     noise: jax.Array | None,
     episode_length: int,
     num_slots: int,
@@ -38,8 +38,7 @@ def simulate_in_slots(
     A slot whose episode has ended goes on with the next one that waits, as an inference server does
     with its requests, so that few slots are idle while others are busy.
     """
-    num_episodes = len(reset_keys)
-    initial = jax.vmap(env.reset)(reset_keys)
+    num_episodes = len(initial.obs)
     slots = Slots(
         env_state=jax.tree.map(lambda x: x[:num_slots], initial),
         episode=jnp.arange(num_slots),
@@ -70,6 +69,9 @@ def simulate_in_slots(
             env_rewards=record(episodes.env_rewards, rewards, time),
             lengths=episodes.lengths.at[episode].set(lengths, mode="drop"),
             diverged=episodes.diverged.at[episode].set(diverged, mode="drop"),
+            final_observations=episodes.final_observations.at[
+                jnp.where(diverged, num_episodes, episode)
+            ].set(after.obs, mode="drop"),
             slot_steps=episodes.slot_steps + len(episode),
         )
 

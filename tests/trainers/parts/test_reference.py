@@ -39,7 +39,13 @@ def distance(demonstrations: Demonstrations, policy: Demonstrations, time_limit:
     lengths = jnp.minimum(policy.lengths, time_limit)
     rewards = jnp.zeros(actions.shape[:2])
     episodes = Episodes(
-        observations, actions, rewards, lengths, jnp.zeros(lengths.shape, bool), lengths.sum()
+        observations,
+        actions,
+        rewards,
+        lengths,
+        diverged=jnp.zeros(lengths.shape, bool),
+        final_observations=observations[:, -1],
+        slot_steps=lengths.sum(),
     )
     return float(expert.distance(jax.random.key(1), episodes, time_limit))
 

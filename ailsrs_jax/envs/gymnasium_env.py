@@ -1,0 +1,186 @@
+"""Any Gymnasium environment, simulated by worker processes."""
+
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+
+from ailsrs_jax.envs.physics import InitialState, Trajectories
+from ailsrs_jax.envs.physics.mujoco_engine import available_cores
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.host_calls import host_call
+from ailsrs_jax.workers.episode import Perceptron, Request
+from ailsrs_jax.workers.pool import Pool
+from ailsrs_jax.workers.process import ProcessWorker
+
+PREFIX = "gymnasium:"
+LARGEST_SEED = 2**31 - 1
+WORKER_TIMEOUT = 600.0  # seconds
+
+
+class GymnasiumEnv:
+    """An environment that only runs whole episodes, of policies that the workers know in NumPy.
+
+    It has no ``reset`` and ``step`` in JAX. Its episodes do not depend on the number of workers,
+    if the environment itself does the same after the same ``reset(seed=...)``.
+    """
+
+    runs_episodes = True
+    backend = "gymnasium"
+
+    def __init__(
+        self,
+        name: str | Callable[[], gymnasium.Env],
+        workers: int | str | None = None,
+        worker_timeout: float = WORKER_TIMEOUT,
+    ) -> None:
+        """Make the environment in a first worker.
+
+        Args:
+            name: what ``gymnasium.make`` takes, or a function that makes an environment.
+            workers: the number of processes, by default one for each core; or ``ray:N`` for N
+                actors on a Ray cluster.
+            worker_timeout: seconds that an episode may take before its worker is replaced.
+
+        Raises:
+            UserError: it cannot be made, or does not observe and act in vectors of numbers.
+        """
+        self.env_id = PREFIX + (name if isinstance(name, str) else name.__name__)
+        number, kind = _parse_workers(workers)
+        if not worker_timeout > 0:
+            raise UserError(f"worker_timeout is {worker_timeout}: it must be positive")
+        self._pool = Pool(name, self.env_id, number, kind, worker_timeout)
+        facts = self._pool.describe()
+        self.observation_size, self.action_size = facts.observation_size, len(facts.action_low)
+        self.action_low, self.action_high = facts.action_low, facts.action_high
+        self.time_limit, self.sets_states = facts.time_limit, facts.sets_states
+
+    def draw_start(self, key: jax.Array) -> jax.Array:
+        """Return a seed for the environment's ``reset``, ``()`` int32."""
+        return jax.random.randint(key, (), 0, LARGEST_SEED)
+
+    def run_episodes(
+        self,
+        sizes: Sequence[int],
+        policies: Sequence[jax.Array],
+        starts: jax.Array | InitialState,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[Trajectories, jax.Array]:
+        """Simulate an episode of each policy; see ``MujocoTask.run_episodes``.
+
+        ``starts`` are seeds, or states for the environment's ``set_state``.
+        """
+        result: tuple[Trajectories, jax.Array] = host_call(
+            functools.partial(self._run, tuple(sizes), episode_length),
+            self._types(len(noise), episode_length),
+            tuple(policies),
+            starts,
+            noise,
+        )
+        return result
+
+    def follow(
+        self, policy: str | Callable[[np.ndarray], Any], seeds: Sequence[int], noise: np.ndarray
+    ) -> tuple[Trajectories, np.ndarray]:
+        """Run episodes of any policy, and return them with their rewards ``(B, T)``.
+
+        Args:
+            policy: a function of an observation ``(n,)``, or its name ``module:attribute``, which
+                each worker imports. Its actions are clipped to the environment's range.
+            seeds: ``B`` seeds for the environment's ``reset``.
+            noise: ``(B, T, p)``, added to the actions before they are clipped.
+
+        Raises:
+            UserError: the policy or the environment has raised an exception.
+        """
+        num_steps = noise.shape[1]
+        return self._run_requests(
+            [
+                Request(policy, noise=noise[i], start=seed, episode_length=num_steps)
+                for i, seed in enumerate(seeds)
+            ]
+        )
+
+    def _run(
+        self,
+        sizes: tuple[int, ...],
+        episode_length: int,
+        policies: tuple[np.ndarray, ...],
+        starts: Any,
+        noise: np.ndarray,
+    ) -> tuple[Trajectories, np.ndarray]:
+        parameters, mean, std, low, high = policies
+        if isinstance(starts, InitialState):
+            begins: list[Any] = list(zip(starts.qpos, starts.qvel, strict=True))
+        else:
+            begins = starts.tolist()
+        return self._run_requests(
+            [
+                Request(
+                    policy=Perceptron(
+                        layers_of(sizes, parameters[i]), mean[i], std[i], low[i], high[i]
+                    ),
+                    noise=noise[i],
+                    start=begin,
+                    episode_length=episode_length,
+                )
+                for i, begin in enumerate(begins)
+            ]
+        )
+
+    def _run_requests(self, requests: Sequence[Request]) -> tuple[Trajectories, np.ndarray]:
+        types = self._types(len(requests), requests[0].episode_length)
+        run, rewards = jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+        for i, episode in enumerate(self._pool.run(requests)):
+            length = len(episode.rewards)
+            run.observations[i, :length] = episode.observations
+            run.actions[i, :length] = episode.actions
+            run.final_observations[i] = episode.final_observation
+            run.lengths[i], run.diverged[i] = length, episode.diverged
+            rewards[i, :length] = episode.rewards
+        return run, rewards
+
+    def _types(self, num_episodes: int, episode_length: int) -> tuple[Trajectories, Any]:
+        """Return the shapes and types of episodes and of their rewards."""
+        shape, n, p = (num_episodes, episode_length), self.observation_size, self.action_size
+        episodes = Trajectories(
+            observations=jax.ShapeDtypeStruct((*shape, n), np.float32),
+            actions=jax.ShapeDtypeStruct((*shape, p), np.float32),
+            records=jax.ShapeDtypeStruct((0,), np.float32),
+            final_observations=jax.ShapeDtypeStruct((num_episodes, n), np.float32),
+            lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
+            diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
+        )
+        return episodes, jax.ShapeDtypeStruct(shape, np.float32)
+
+
+def layers_of(
+    sizes: tuple[int, ...], parameters: np.ndarray
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Split parameters into the weights ``(in, out)`` and biases ``(out,)`` of each layer."""
+    layers, start = [], 0
+    for inputs, outputs in itertools.pairwise(sizes):
+        end = start + inputs * outputs
+        weights = parameters[start:end].reshape(inputs, outputs)
+        layers.append((weights, parameters[end : end + outputs]))
+        start = end + outputs
+    return tuple(layers)
+
+
+def _parse_workers(workers: int | str | None) -> tuple[int, Any]:
+    """Return how many workers, and of which kind."""
+    where, _, number = str(workers or available_cores()).rpartition(":")
+    if where not in ("", "ray") or not number.isdecimal() or int(number) < 1:
+        raise UserError(f"workers is '{workers}': give a number, or ray: and a number")
+    if where == "":
+        return int(number), ProcessWorker
+    try:
+        from ailsrs_jax.workers.ray_worker import RayWorker
+    except ImportError as error:
+        raise UserError("workers on Ray need it: pip install 'ailsrs_jax[ray]'") from error
+    return int(number), RayWorker

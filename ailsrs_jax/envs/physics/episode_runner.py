@@ -1,0 +1,193 @@
+"""Whole episodes on MuJoCo's C engine: each thread runs one episode after the other."""
+
+import ctypes
+import itertools
+import math
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from ailsrs_jax.envs.physics import episode_loop
+from ailsrs_jax.envs.physics.base import InitialState, Range, Trajectories
+from ailsrs_jax.envs.physics.episode_loop import Engine, Layout, Perceptron, Trajectory
+from ailsrs_jax.envs.physics.quiet import without_warnings
+from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, host_call, interrupted
+
+STATE = (Range("qpos"), Range("qvel"))
+
+
+class EpisodeRunner:
+    """Simulates episodes of one model.
+
+    With the same actions an episode is bit for bit that of Gymnasium's ``MujocoEnv``. It does not
+    depend on the number of threads.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        frame_skip: int,
+        num_threads: int,
+        *,
+        observed: Sequence[Range],
+        limits: Sequence[Range],
+        recorded: Sequence[str],
+    ) -> None:
+        """Prepare the simulation.
+
+        Args:
+            model: the model, with MuJoCo's automatic reset disabled.
+            frame_skip: physics steps in a step of an episode.
+            num_threads: threads that run episodes.
+            observed: what the policy sees, clipped to the limits.
+            limits: an episode ends when one of these numbers is not strictly within its limits.
+            recorded: fields of ``mjData`` that are recorded.
+        """
+        self._model, self._frame_skip, self._num_threads = model, frame_skip, num_threads
+        self._observed, self._limits = observed, limits
+        self._recorded = [Range(field) for field in recorded]
+        self._senses = any(part.field == "cfrc_ext" for part in (*observed, *self._recorded))
+        data = mujoco.MjData(model)
+        self._shapes = {name: getattr(data, name).shape for name in recorded}
+        names = ("mj_step", "mj_rnePostConstraint")
+        self._step, self._sense = map(episode_loop.mujoco_function, names)
+        self._own = threading.local()
+        self._threads = ThreadPoolExecutor(num_threads, initializer=self._set_up_thread)
+
+    def __call__(
+        self,
+        sizes: Sequence[int],
+        policies: Sequence[jax.Array],
+        starts: InitialState,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> Trajectories:
+        """Call :meth:`run` in a JAX program; ``records`` has ``(B, T + 1, ...)`` of each field."""
+        num_episodes, num_steps = len(starts.qpos), episode_length
+        n, p, r = sizes[0], sizes[-1], sum(map(math.prod, self._shapes.values()))
+        types = Trajectories(
+            observations=jax.ShapeDtypeStruct((num_episodes, num_steps, n), np.float32),
+            actions=jax.ShapeDtypeStruct((num_episodes, num_steps, p), np.float32),
+            records=jax.ShapeDtypeStruct((num_episodes, num_steps + 1, r), np.float32),
+            final_observations=jax.ShapeDtypeStruct((num_episodes, n), np.float32),
+            lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
+            diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
+        )
+
+        def run(policies: Any, starts: InitialState, noise: np.ndarray) -> Trajectories:
+            result = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), types)
+            self.run(sizes, policies, starts, noise, result)
+            return result
+
+        result = host_call(run, types, tuple(policies), starts, noise)
+        ends = np.cumsum([math.prod(shape) for shape in self._shapes.values()])
+        records = {
+            name: numbers.reshape(num_episodes, -1, *self._shapes[name])
+            for name, numbers in zip(
+                self._shapes, jnp.split(result.records, ends[:-1], axis=2), strict=True
+            )
+        }
+        return result._replace(records=records)
+
+    def run(
+        self,
+        sizes: Sequence[int],
+        policies: Sequence[np.ndarray],
+        starts: InitialState,
+        noise: np.ndarray,
+        result: Trajectories,
+    ) -> None:
+        """Simulate an episode of each policy.
+
+        Args:
+            sizes: the ``sizes`` of all policies; see :class:`Perceptron`.
+            policies: its other arrays, each with a first axis of B.
+            starts: of each episode.
+            noise: ``(B, T, p)``, added to the actions before they are clipped; ``(B, 0, p)`` for
+                none.
+            result: zeros, to be filled.
+
+        Raises:
+            Interrupted: somebody asked for a stop.
+        """
+        layer_sizes, stop = np.array(sizes), np.zeros(1, bool)
+        # All threads take episodes from this iterator; Python's lock makes taking one atomic.
+        waiting = iter(range(len(result.lengths)))
+
+        def run_some() -> None:
+            own, data = self._own, self._own.data
+            for i in itertools.takewhile(lambda _: not stop[0], waiting):
+                # As in Gymnasium's MujocoEnv.reset: no force has acted yet.
+                mujoco.mj_resetData(self._model, data)
+                data.qpos[:], data.qvel[:] = starts.qpos[i], starts.qvel[i]
+                mujoco.mj_forward(self._model, data)
+                result.lengths[i], result.diverged[i] = episode_loop.run_episode(
+                    own.engine,
+                    own.memory,
+                    own.warnings,
+                    own.layout,
+                    Perceptron(layer_sizes, *(array[i] for array in policies)),
+                    noise[i],
+                    stop,
+                    Trajectory(*(array[i] for array in result[:4])),
+                )
+
+        with without_warnings():
+            running = [self._threads.submit(run_some) for _ in range(self._num_threads)]
+            while wait(running, POLL_SECONDS).not_done:
+                stop[0] = interrupted()
+        for thread in running:
+            thread.result()  # raises what the thread has raised
+        if stop[0]:
+            raise Interrupted
+
+    def _set_up_thread(self) -> None:
+        """Give this thread an ``mjData``, and find the fields in its memory."""
+        own, data = self._own, mujoco.MjData(self._model)
+        parts = (*self._observed, *self._limits, *self._recorded, *STATE)
+        fields = {name: getattr(data, name) for name in ("ctrl", *(part.field for part in parts))}
+        # All fields lie in one buffer, which never moves.
+        start = min(field.ctypes.data for field in fields.values())
+        end = max(field.ctypes.data + field.nbytes for field in fields.values())
+        place = {name: (field.ctypes.data - start) // 8 for name, field in fields.items()}
+
+        def numbers(parts: Sequence[Range]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Return index, lowest and highest value of each number."""
+            rows = [
+                (place[part.field] + index, part.low, part.high)
+                for part in parts
+                for index in range(fields[part.field].size)[part.first : part.end]
+            ]
+            index, low, high = np.array(rows, float).reshape(-1, 3).T.copy()
+            return index.astype(int), low, high
+
+        observed, lowest, highest = numbers(self._observed)
+        watched, low, high = numbers(self._limits)
+        own.data = data
+        own.memory = np.frombuffer((ctypes.c_char * (end - start)).from_address(start))
+        own.warnings = data.warning.number[mujoco.mjtWarning.mjWARN_BADQPOS :]
+        own.engine = Engine(
+            step=self._step,
+            sense=self._sense,
+            senses=self._senses,
+            model=self._model._address,
+            data=data._address,
+            frame_skip=self._frame_skip,
+        )
+        own.layout = Layout(
+            ctrl=place["ctrl"],
+            moving=numbers(STATE)[0],
+            observed=observed,
+            lowest=lowest.astype(np.float32),
+            highest=highest.astype(np.float32),
+            watched=watched,
+            low=low,
+            high=high,
+            recorded=numbers(self._recorded)[0],
+        )

@@ -1,0 +1,74 @@
+"""Functions on the host that a JAX program calls: their exceptions, and how they end early.
+
+A compiled program cannot be interrupted, and JAX would log an exception of a function that it calls
+and raise another in its place. So these functions ask :func:`interrupted` now and then, and
+:func:`host_errors` raises what they have raised.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+POLL_SECONDS = 0.1  # how often functions on the host ask
+
+
+class Interrupted(Exception):  # noqa: N818  (not an error)
+    """A function on the host has ended early, and has no result."""
+
+
+def _never() -> bool:
+    return False
+
+
+_stop: Callable[[], bool] = _never
+_problems: list[list[Exception]] = []  # one list for each block of host_errors
+
+
+def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
+    """Call ``function`` with NumPy arrays; it returns arrays of the ``types``.
+
+    Within :func:`host_errors` an exception gives zeros, and is raised at the end of the block.
+    """
+
+    def call(*arguments: Any) -> Any:
+        try:
+            return function(*jax.tree.map(np.asarray, arguments))
+        except Exception as error:
+            if not _problems:
+                raise
+            _problems[-1].append(error)
+            return jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+
+    return jax.pure_callback(call, types, *arguments)
+
+
+@contextlib.contextmanager
+def host_errors() -> Iterator[None]:
+    """Raise the first exception of a host function of the block, which waits for its results."""
+    problems: list[Exception] = []
+    _problems.append(problems)
+    try:
+        yield
+    finally:
+        _problems.remove(problems)
+    if problems:
+        raise problems[0]
+
+
+@contextlib.contextmanager
+def interruptible(stop: Callable[[], bool]) -> Iterator[None]:
+    """Let host functions end early while ``stop`` returns true."""
+    global _stop
+    previous, _stop = _stop, stop
+    try:
+        yield
+    finally:
+        _stop = previous
+
+
+def interrupted() -> bool:
+    """Whether somebody has asked for a stop."""
+    return _stop()

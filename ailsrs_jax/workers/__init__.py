@@ -1,0 +1,1 @@
+"""Processes that run whole episodes of Gymnasium environments; they import no JAX."""

@@ -1,0 +1,152 @@
+"""One whole episode of a Gymnasium environment, with a policy in NumPy."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Dict, Tuple
+from gymnasium.wrappers import FlattenObservation
+
+from ailsrs_jax.own_code import load_own
+
+LARGEST = 1e10  # beyond this, as in MuJoCo, a simulation counts as diverged
+
+
+class Facts(NamedTuple):
+    """What has to be known about an environment."""
+
+    observation_size: int
+    action_low: np.ndarray  # (p,) float32
+    action_high: np.ndarray  # (p,)
+    time_limit: int | None  # of its specification, in steps
+    sets_states: bool  # has set_state(qpos, qvel), as every MujocoEnv
+
+
+class Perceptron(NamedTuple):
+    """A multilayer perceptron of standardised observations; a linear policy has one layer."""
+
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]  # weights (in, out), biases (out,)
+    mean: np.ndarray  # (n,)
+    std: np.ndarray  # (n,)
+    action_low: np.ndarray  # (p,)
+    action_high: np.ndarray  # (p,)
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Return the action ``(p,)`` before it is clipped."""
+        numbers = (observation - self.mean) / self.std
+        for layer, (weights, biases) in enumerate(self.layers):
+            numbers = (np.tanh(numbers) if layer else numbers) @ weights + biases
+        return numbers
+
+
+class Request(NamedTuple):
+    """An episode to be run."""
+
+    policy: Perceptron | str | Callable[[np.ndarray], Any]  # or ``module:attribute``
+    noise: np.ndarray  # (T, p), added to the actions before they are clipped; (0, p) for none
+    start: int | tuple[np.ndarray, np.ndarray]  # a seed, or positions and velocities
+    episode_length: int  # T
+
+
+class Episode(NamedTuple):
+    """L live steps."""
+
+    observations: np.ndarray  # (L, n) float32, what the policy saw
+    actions: np.ndarray  # (L, p) float32, clipped
+    rewards: np.ndarray  # (L,) float32
+    final_observation: np.ndarray  # (n,) float32, after the last step
+    diverged: bool  # the next step would not be finite
+
+
+def make(name: str | Callable[[], gymnasium.Env], render_mode: str | None = None) -> gymnasium.Env:
+    """Make an environment that observes a vector; its time limit is left out.
+
+    Args:
+        name: what ``gymnasium.make`` takes, or a function that returns an environment.
+        render_mode: of an environment by name, such as ``rgb_array``.
+
+    Raises:
+        TypeError: observations or actions are not of a kind that our policies can handle.
+    """
+    if isinstance(name, str):
+        env = gymnasium.make(
+            name, max_episode_steps=-1, disable_env_checker=True, render_mode=render_mode
+        )
+    else:
+        env = name()
+    observed = env.observation_space
+    if not isinstance(observed, Box | Dict | Tuple) or not observed.is_np_flattenable:
+        raise TypeError(f"it observes {observed}, which is no vector of numbers")
+    if not isinstance(observed, Box) or len(observed.shape) != 1:
+        env = FlattenObservation(env)
+    space = env.action_space
+    if not isinstance(space, Box) or not np.issubdtype(space.dtype, np.floating):
+        raise TypeError(f"its actions are {space}: they must be a Box of real numbers")
+    return env
+
+
+def describe(env: gymnasium.Env, name: str | Callable[[], gymnasium.Env]) -> Facts:
+    """Return the facts about the environment ``env`` that :func:`make` made for ``name``."""
+    space = env.action_space
+    assert isinstance(space, Box)
+    assert env.observation_space.shape is not None
+    # A specification by name still has the limit that ``make`` has left out.
+    spec = gymnasium.spec(name) if isinstance(name, str) else env.spec
+    return Facts(
+        observation_size=env.observation_space.shape[0],
+        action_low=np.float32(space.low).ravel(),
+        action_high=np.float32(space.high).ravel(),
+        time_limit=spec.max_episode_steps if spec is not None else None,
+        sets_states=hasattr(env.unwrapped, "set_state"),
+    )
+
+
+def run(env: Any, request: Request) -> Episode:
+    """Run an episode, which ends early when the environment says so or diverges."""
+    noise, policy, space = request.noise, request.policy, env.action_space
+    low, high = np.ravel(space.low), np.ravel(space.high)
+    if isinstance(policy, Perceptron):
+        low, high = policy.action_low, policy.action_high
+    elif isinstance(policy, str):
+        policy = load_own(policy)
+    observation = begin(env, request.start)
+    observations: list[np.ndarray] = []
+    actions: list[np.ndarray] = []
+    rewards: list[float] = []
+    diverged = False
+    while len(rewards) < request.episode_length and not diverged:
+        action = np.ravel(policy(observation))
+        action = action + noise[len(rewards)] if len(noise) else action
+        action = np.clip(action, low, high)
+        following, reward, terminated, truncated, _ = env.step(
+            action.reshape(env.action_space.shape)
+        )
+        # Comparisons with NaN are false.
+        finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
+        diverged = not all(map(np.all, finite))
+        if not diverged:
+            observations.append(observation)
+            actions.append(action)
+            rewards.append(reward)
+            observation = following
+            if terminated or truncated:
+                break
+    return Episode(
+        np.array(observations, np.float32).reshape(-1, len(observation)),
+        np.array(actions, np.float32).reshape(-1, len(low)),
+        np.array(rewards, np.float32),
+        np.asarray(observation, np.float32),
+        diverged,
+    )
+
+
+def begin(env: Any, start: int | tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Start an episode; return the first observation ``(n,)``."""
+    if not isinstance(start, tuple):
+        return np.asarray(env.reset(seed=start)[0])
+    env.reset(seed=0)
+    qpos, qvel = map(np.float64, start)
+    env.unwrapped.set_state(qpos, qvel)
+    observation = env.unwrapped._get_obs()
+    return np.asarray(gymnasium.spaces.flatten(env.unwrapped.observation_space, observation))

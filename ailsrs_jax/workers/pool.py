@@ -1,0 +1,139 @@
+"""Several workers that share the episodes of a batch."""
+
+import collections
+import contextlib
+import os
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, interrupted
+from ailsrs_jax.workers.episode import Episode, Facts, Request
+from ailsrs_jax.workers.worker import Failure
+
+ATTEMPTS = 3  # at an episode, or at starting a worker
+
+
+class Pool:
+    """Runs episodes; the result depends on neither the number of workers nor their deaths.
+
+    Each worker runs one episode at a time. A worker that dies, or needs more than the allowed time
+    for an episode, is replaced, and its episode is run again.
+    """
+
+    def __init__(self, name: Any, label: str, num_workers: int, kind: Any, seconds: float) -> None:
+        """Start no worker yet.
+
+        Args:
+            name: of the environment; see :func:`~ailsrs_jax.workers.episode.make`.
+            label: of the environment, for messages.
+            num_workers: how many at most.
+            kind: :class:`~ailsrs_jax.workers.process.ProcessWorker`, or a class like it.
+            seconds: allowed for an episode, or for starting.
+        """
+        self._name, self._label, self._kind = name, label, kind
+        self._num_workers, self._seconds = num_workers, seconds
+        self._facts: Facts | None = None
+        self._idle: list[Any] = []
+        handle, path = tempfile.mkstemp(prefix="ailsrs-", suffix=".log")
+        self._path, self._log = Path(path), os.fdopen(handle, "wb")
+        self._lock = threading.Lock()  # batches of two threads take turns
+        weakref.finalize(self, _finish, self._idle, self._path, self._log)
+
+    def describe(self) -> Facts:
+        """Return the facts about the environment, from a first worker.
+
+        Raises:
+            UserError: the environment cannot be made.
+        """
+        if self._facts is None:
+            self.run([])
+        assert self._facts is not None
+        return self._facts
+
+    def run(self, requests: Sequence[Request]) -> list[Episode]:
+        """Run the episodes, and return them in the same order.
+
+        Raises:
+            UserError: the environment has raised an exception, or ended its process repeatedly.
+            Interrupted: somebody asked for a stop.
+        """
+        with self._lock:
+            return self._run(requests)
+
+    def _run(self, requests: Sequence[Request]) -> list[Episode]:
+        episodes: dict[int, Episode] = {}
+        waiting = collections.deque(range(len(requests)))
+        deaths: collections.Counter[int | None] = collections.Counter()
+        busy: dict[Any, tuple[int | None, float]] = {}  # with which episode, and until when
+
+        def lose(worker: Any, what: str) -> None:
+            index, _ = busy.pop(worker)
+            worker.kill()
+            deaths[index] += 1
+            if deaths[index] == ATTEMPTS:
+                where = "at its start" if index is None else "in the same episode"
+                raise UserError(
+                    f"{self._label}: the environment's process has {what} {ATTEMPTS} times "
+                    f"{where}; what it printed is in {self._path}"
+                )
+            if index is not None:
+                waiting.appendleft(index)
+
+        try:
+            while self._facts is None or len(episodes) < len(requests):
+                now = time.monotonic()
+                while waiting and self._idle:
+                    worker, request = self._idle.pop(), waiting.popleft()
+                    worker.send(requests[request])
+                    busy[worker] = request, now + self._seconds
+                num_starting = sum(index is None for index, _ in busy.values())
+                num_wanted = min(self._num_workers - len(busy), max(len(waiting), 1) - num_starting)
+                for _ in range(num_wanted if waiting or self._facts is None else 0):
+                    busy[self._kind(self._name, self._log)] = None, now + self._seconds
+                for worker in self._kind.ready(list(busy), POLL_SECONDS):
+                    answer = worker.answer()
+                    if answer is None:
+                        lose(worker, "ended")
+                        continue
+                    index, _ = busy.pop(worker)
+                    self._idle.append(worker)
+                    if isinstance(answer, Failure):
+                        self._log.write(answer.traceback.encode())
+                        self._log.flush()
+                        raise UserError(
+                            f"{self._label}: {answer.line}; the traceback is in {self._path}"
+                        )
+                    if index is None:
+                        self._facts = answer
+                    else:
+                        episodes[index] = answer
+                for worker, (_, deadline) in [*busy.items()]:
+                    if time.monotonic() > deadline:
+                        lose(worker, f"not answered within {self._seconds:g} s")
+                if interrupted():
+                    raise Interrupted
+        except BaseException:
+            _kill(self._idle)  # an environment that has failed may be in any state
+            raise
+        finally:
+            _kill([*busy])  # they answer a question that nobody asks any more
+        return [episodes[index] for index in range(len(requests))]
+
+
+def _kill(workers: list[Any]) -> None:
+    while workers:
+        workers.pop().kill()
+
+
+def _finish(workers: list[Any], path: Path, log: IO[bytes]) -> None:
+    _kill(workers)
+    log.close()
+    with contextlib.suppress(OSError):
+        if path.stat().st_size == 0:
+            path.unlink()

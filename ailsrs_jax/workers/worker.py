@@ -1,0 +1,60 @@
+"""The program of a worker: ``python -m ailsrs_jax.workers.worker FILE_DESCRIPTOR``.
+
+It reads requests from the file descriptor and writes answers to it. It ends when the other side is
+closed, also in the middle of an episode, so that it does not outlive the program that started it.
+"""
+
+import os
+import queue
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import cloudpickle
+
+from ailsrs_jax.workers import episode
+
+
+class Failure(NamedTuple):
+    """The answer if the environment has raised an exception."""
+
+    line: str
+    traceback: str
+
+
+def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what ``function`` returns, or a :class:`Failure`."""
+    try:
+        return function(*arguments)
+    except Exception as error:
+        line = next(iter(str(error).splitlines()), "")
+        return Failure(f"{type(error).__name__}: {line}"[:300], traceback.format_exc())
+
+
+def serve(connection: Connection) -> None:
+    """Make the environment of the first request, then answer the others with episodes."""
+    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_receive, args=(connection, requests), daemon=True).start()
+    sys.path[:], name = requests.get()
+    env = attempt(episode.make, name)
+    connection.send(env if isinstance(env, Failure) else attempt(episode.describe, env, name))
+    while True:
+        connection.send(attempt(episode.run, env, requests.get()))
+
+
+def _receive(connection: Connection, requests: "queue.SimpleQueue[Any]") -> None:
+    try:
+        while True:
+            requests.put(cloudpickle.loads(connection.recv_bytes()))
+    finally:
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    # A module that is run is another than the one that is imported, and so are its classes.
+    from ailsrs_jax.workers import worker
+
+    worker.serve(Connection(int(sys.argv[1])))

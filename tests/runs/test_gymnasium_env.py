@@ -1,0 +1,165 @@
+"""The whole loop in environments of Gymnasium: demonstrate, train, resume, evaluate, show."""
+
+import contextlib
+import json
+import os
+import random
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.cli.main import main
+from ailsrs_jax.errors import UserError
+from tests.workers.environments import Mass, happens_first
+from tests.workers.test_pool import children, make
+
+SMALL = {
+    "num_iterations": 3,
+    "num_directions": 4,
+    "num_top_directions": 2,
+    "num_evaluation_episodes": 2,
+    "discriminator_steps": 2,
+    "memory_samples": 16,
+    "num_distance_samples": 50,
+    "episode_length": 30,
+}
+SETTINGS = ["--set", *(f"{name}={value}" for name, value in SMALL.items())]
+PENDULUM = "gymnasium:Pendulum-v1"
+CONTROLLER = """
+import numpy as np
+
+def swing(observation):
+    cosine, sine, speed = observation
+    return np.array([-5 * sine - 2 * speed if cosine > 0 else np.sign(speed) * 2])
+"""
+
+
+def ailsrs(monkeypatch: pytest.MonkeyPatch, *words: str) -> Any:
+    monkeypatch.setattr("sys.argv", ["ailsrs", *words])
+    try:
+        main()
+    except SystemExit as end:
+        return end.code or 0
+    return 0
+
+
+def test_the_whole_loop(in_tmp_path: Path, monkeypatch, capsys) -> None:
+    Path("controllers.py").write_text(CONTROLLER)
+    expert = ["--expert", "controllers:swing", "--num-trajectories", "3"]
+    demonstrate = ["demonstrate", PENDULUM, *expert, "--output", "swing.npz"]
+    assert ailsrs(monkeypatch, *demonstrate) == 0
+    demonstrations = ail.load_demonstrations("swing.npz")
+    assert demonstrations.env_id == PENDULUM
+    assert demonstrations.observations.shape == (3, 200, 3)  # the environment's time limit
+
+    train = ["train", PENDULUM, "--demonstrations", "swing.npz", "--workers", "2", *SETTINGS]
+    assert ailsrs(monkeypatch, *train, "--output", "run") == 0
+    alone = ail.train(PENDULUM, "swing.npz", workers=1, **SMALL)
+    policy = ail.load_policy("run/seed_0/policy.npz")
+    np.testing.assert_array_equal(policy.weights, alone.policies[0].weights)
+
+    capsys.readouterr()
+    assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", "3", "--json") == 0
+    (row,) = json.loads(capsys.readouterr().out)["policies"]
+    assert (row["env_id"], row["physics"], row["length_mean"]) == (PENDULUM, "gymnasium", 200)
+    assert row["return_mean"] == pytest.approx(ail.evaluate(policy, 3).mean)
+    assert ailsrs(monkeypatch, "report", "run", "--episodes", "2") == 0
+    assert "Not measured" not in Path("run/report.html").read_text()
+    assert ailsrs(monkeypatch, "train", PENDULUM, "--workers", "0") == 2
+    assert "workers is '0'" in capsys.readouterr().err
+    assert ailsrs(monkeypatch, "train", "hopper", "--workers", "2") == 2
+    assert "workers is for environments named gymnasium:ID" in capsys.readouterr().err
+
+
+def mass_demonstrations() -> ail.Demonstrations:
+    return ail.demonstrate(
+        lambda observation: -observation[:1] - 1.5 * observation[1:],
+        4,
+        env=make("Mass"),
+        episode_length=30,
+    )
+
+
+def test_a_function_that_makes_the_environment() -> None:
+    demonstrations = mass_demonstrations()
+    assert demonstrations.env_id == "gymnasium:Mass"
+    for algorithm, settings in (("bc", {"episode_length": 30}), ("ailsrs", SMALL)):
+        run = ail.train(make("Mass"), demonstrations, algorithm=algorithm, **settings)
+        assert ail.evaluate(run.policies[0], 3, env=make("Mass"), episode_length=30).mean > 5
+    search = {"num_iterations": 2, "num_directions": 4, "num_top_directions": 2}
+    run = ail.train(make("Mass"), algorithm="ars", episode_length=30, **search)
+    assert run.policies[0].weights.shape == (1, 2)
+
+
+@pytest.mark.parametrize("algorithm", ["gail", "trpo"])
+def test_what_needs_single_steps_is_refused(algorithm: str) -> None:
+    demonstrations = mass_demonstrations() if algorithm == "gail" else None
+    with pytest.raises(UserError, match=f"{algorithm} needs an environment that goes on"):
+        ail.train(make("Mass"), demonstrations, algorithm=algorithm)
+
+
+class Fragile(Mass):
+    """Raises an exception once, in the course of a training."""
+
+    def step(self, action: np.ndarray) -> Any:
+        if self.np_random.uniform() < 0.0005 and happens_first(1):
+            raise OSError("the simulator has lost its licence")
+        return super().step(action)
+
+
+def test_an_exception_leaves_a_run_that_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MARKS", str(tmp_path))
+
+    def fragile() -> Fragile:
+        return Fragile()
+
+    demonstrations = mass_demonstrations()
+    options = {"seeds": [3], **SMALL, "num_iterations": 12, "checkpoint_every": 1}
+    with pytest.raises(UserError, match="OSError: the simulator has lost its licence; the tra"):
+        ail.train(
+            fragile, demonstrations_of("fragile", demonstrations), output=tmp_path / "a", **options
+        )
+    run = ail.train(
+        fragile,
+        demonstrations_of("fragile", demonstrations),
+        output=tmp_path / "a",
+        resume=(tmp_path / "a" / "config.json").exists(),
+        **options,
+    )
+    again = ail.train(fragile, demonstrations_of("fragile", demonstrations), **options)
+    np.testing.assert_array_equal(run.policies[3].weights, again.policies[3].weights)
+
+
+def demonstrations_of(name: str, demonstrations: ail.Demonstrations) -> ail.Demonstrations:
+    return demonstrations.replace(env_id=f"gymnasium:{name}")
+
+
+@pytest.mark.slow
+def test_killed_workers_change_nothing() -> None:
+    demonstrations, number = mass_demonstrations(), 0
+    options = SMALL | {"num_iterations": 60, "num_directions": 16}
+    undisturbed = ail.train(make("Mass"), demonstrations, **options)
+    over = threading.Event()
+
+    def kill() -> None:
+        nonlocal number
+        while not over.wait(0.3):
+            if workers := children(os.getpid()):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(random.choice(workers), signal.SIGKILL)
+                    number += 1
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    disturbed = ail.train(make("Mass"), demonstrations, workers=3, **options)
+    over.set()
+    killer.join()
+    assert number >= 20
+    np.testing.assert_array_equal(undisturbed.policies[0].weights, disturbed.policies[0].weights)

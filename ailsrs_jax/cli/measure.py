@@ -35,7 +35,7 @@ def evaluate(
 
     Args:
         policy: A policy.npz or .safetensors, or the directory of a run or an export.
-        episodes: Episodes of each policy, of at most 1000 steps.
+        episodes: Episodes of each policy, up to the environment's time limit.
         stochastic: Sample the actions of a Gaussian policy instead of taking their mean.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
@@ -85,7 +85,7 @@ def benchmark(
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs.benchmark.speed import benchmark
 
-    if min(num_directions or 1, episode_length, repeats) < 1 or num_directions == 0:
+    if min(1 if num_directions is None else num_directions, episode_length, repeats) < 1:
         raise UserError("directions, episode length and repeats must be at least 1")
     env_ids = [resolve_env_id(env) for env in envs]
     engines = [choose_engine(engine)[0] for engine in physics]

@@ -2,12 +2,9 @@
 
 import jax
 import jax.numpy as jnp
-import mujoco
 
 from ailsrs_jax.envs import State
-
-# Beyond this MuJoCo regards a simulation as unstable. Sums of its square still fit into float32.
-LARGEST = mujoco.mjMAXVAL  # 1e10
+from ailsrs_jax.envs.physics.base import LARGEST
 
 
 def has_diverged(before: State, action: jax.Array, after: State) -> jax.Array:

@@ -9,7 +9,7 @@ import gymnasium
 import jax
 import numpy as np
 
-from ailsrs_jax.envs.physics import InitialState, Trajectories
+from ailsrs_jax.envs.physics import InitialState, Perceptrons, Trajectories
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_call
@@ -65,8 +65,7 @@ class GymnasiumEnv:
 
     def run_episodes(
         self,
-        sizes: Sequence[int],
-        policies: Sequence[jax.Array],
+        policies: Perceptrons,
         starts: jax.Array | InitialState,
         noise: jax.Array,
         episode_length: int,
@@ -76,9 +75,9 @@ class GymnasiumEnv:
         ``starts`` are seeds, or states for the environment's ``set_state``.
         """
         result: tuple[Trajectories, jax.Array] = host_call(
-            functools.partial(self._run, tuple(sizes), episode_length),
+            functools.partial(self._run, episode_length),
             self._types(len(noise), episode_length),
-            tuple(policies),
+            policies,
             starts,
             noise,
         )
@@ -108,28 +107,25 @@ class GymnasiumEnv:
 
     def _run(
         self,
-        sizes: tuple[int, ...],
         episode_length: int,
-        policies: tuple[np.ndarray, ...],
+        policies: Perceptrons,
         starts: Any,
         noise: np.ndarray,
     ) -> tuple[Trajectories, np.ndarray]:
-        parameters, mean, std, low, high = policies
         if isinstance(starts, InitialState):
             begins: list[Any] = list(zip(starts.qpos, starts.qvel, strict=True))
         else:
             begins = starts.tolist()
+        of_each = zip(*jax.tree.leaves(policies), strict=True)
         return self._run_requests(
             [
                 Request(
-                    policy=Perceptron(
-                        layers_of(sizes, parameters[i]), mean[i], std[i], low[i], high[i]
-                    ),
+                    policy=Perceptron(layers_of(policies.sizes, parameters), *others),
                     noise=noise[i],
-                    start=begin,
+                    start=begins[i],
                     episode_length=episode_length,
                 )
-                for i, begin in enumerate(begins)
+                for i, (parameters, *others) in enumerate(of_each)
             ]
         )
 

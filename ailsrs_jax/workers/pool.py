@@ -93,8 +93,8 @@ class Pool:
                     worker.send(requests[request])
                     busy[worker] = request, now + self._seconds
                 num_starting = sum(index is None for index, _ in busy.values())
-                num_wanted = min(self._num_workers - len(busy), max(len(waiting), 1) - num_starting)
-                for _ in range(num_wanted if waiting or self._facts is None else 0):
+                num_needed = max(len(waiting), self._facts is None) - num_starting
+                for _ in range(min(num_needed, self._num_workers - len(busy))):
                     busy[self._kind(self._name, self._log)] = None, now + self._seconds
                 for worker in self._kind.ready(list(busy), POLL_SECONDS):
                     answer = worker.answer()

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import cloudpickle
 
+from ailsrs_jax.errors import one_line
 from ailsrs_jax.workers import episode
 
 
@@ -30,8 +31,7 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except Exception as error:
-        line = next(iter(str(error).splitlines()), "")
-        return Failure(f"{type(error).__name__}: {line}"[:300], traceback.format_exc())
+        return Failure(one_line(error), traceback.format_exc())
 
 
 def serve(connection: Connection) -> None:

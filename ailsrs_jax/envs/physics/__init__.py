@@ -4,6 +4,7 @@ import jax
 import mujoco
 
 from ailsrs_jax.envs.physics.base import InitialState as InitialState
+from ailsrs_jax.envs.physics.base import Perceptrons as Perceptrons
 from ailsrs_jax.envs.physics.base import Physics as Physics
 from ailsrs_jax.envs.physics.base import PhysicsState as PhysicsState
 from ailsrs_jax.envs.physics.base import Range as Range

@@ -7,6 +7,9 @@ import mujoco
 import numpy as np
 from flax import struct
 
+# Beyond this MuJoCo regards a simulation as unstable. Sums of its square still fit into float32.
+LARGEST = float(mujoco.mjMAXVAL)  # 1e10
+
 
 class Range(NamedTuple):
     """Consecutive numbers of a field of ``mjData``, and limits that hold for each of them."""
@@ -23,6 +26,18 @@ class InitialState(struct.PyTreeNode):
 
     qpos: jax.Array  # (nq,) float32, generalised positions [m, rad]
     qvel: jax.Array  # (nv,) float32, generalised velocities [m/s, rad/s]
+
+
+class Perceptrons(struct.PyTreeNode):
+    """B multilayer perceptrons of standardised observations; a linear policy has one layer."""
+
+    parameters: jax.Array  # (B, k) float32; each layer's weights (in, out), then its biases (out,)
+    mean: jax.Array  # (B, n)
+    std: jax.Array  # (B, n)
+    action_low: jax.Array  # (B, p)
+    action_high: jax.Array  # (B, p)
+    #: the numbers of inputs, of each hidden layer of tanh units, and of outputs
+    sizes: tuple[int, ...] = struct.field(pytree_node=False)
 
 
 class Trajectories(NamedTuple):

@@ -8,7 +8,7 @@ import mujoco
 import numba
 import numpy as np
 
-LARGEST = float(mujoco.mjMAXVAL)  # beyond this MuJoCo regards a simulation as unstable
+from ailsrs_jax.envs.physics.base import LARGEST
 
 
 class Engine(NamedTuple):

@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ import mujoco
 import numpy as np
 
 from ailsrs_jax.envs.physics import episode_loop
-from ailsrs_jax.envs.physics.base import InitialState, Range, Trajectories
+from ailsrs_jax.envs.physics.base import InitialState, Perceptrons, Range, Trajectories
 from ailsrs_jax.envs.physics.episode_loop import Engine, Layout, Perceptron, Trajectory
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, host_call, interrupted
@@ -62,15 +61,15 @@ class EpisodeRunner:
 
     def __call__(
         self,
-        sizes: Sequence[int],
-        policies: Sequence[jax.Array],
+        policies: Perceptrons,
         starts: InitialState,
         noise: jax.Array,
         episode_length: int,
     ) -> Trajectories:
         """Call :meth:`run` in a JAX program; ``records`` has ``(B, T + 1, ...)`` of each field."""
         num_episodes, num_steps = len(starts.qpos), episode_length
-        n, p, r = sizes[0], sizes[-1], sum(map(math.prod, self._shapes.values()))
+        n, p = policies.sizes[0], policies.sizes[-1]
+        r = sum(map(math.prod, self._shapes.values()))
         types = Trajectories(
             observations=jax.ShapeDtypeStruct((num_episodes, num_steps, n), np.float32),
             actions=jax.ShapeDtypeStruct((num_episodes, num_steps, p), np.float32),
@@ -80,12 +79,12 @@ class EpisodeRunner:
             diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
         )
 
-        def run(policies: Any, starts: InitialState, noise: np.ndarray) -> Trajectories:
+        def run(policies: Perceptrons, starts: InitialState, noise: np.ndarray) -> Trajectories:
             result = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), types)
-            self.run(sizes, policies, starts, noise, result)
+            self.run(policies, starts, noise, result)
             return result
 
-        result = host_call(run, types, tuple(policies), starts, noise)
+        result = host_call(run, types, policies, starts, noise)
         ends = np.cumsum([math.prod(shape) for shape in self._shapes.values()])
         records = {
             name: numbers.reshape(num_episodes, -1, *self._shapes[name])
@@ -97,8 +96,7 @@ class EpisodeRunner:
 
     def run(
         self,
-        sizes: Sequence[int],
-        policies: Sequence[np.ndarray],
+        policies: Perceptrons,
         starts: InitialState,
         noise: np.ndarray,
         result: Trajectories,
@@ -106,8 +104,7 @@ class EpisodeRunner:
         """Simulate an episode of each policy.
 
         Args:
-            sizes: the ``sizes`` of all policies; see :class:`Perceptron`.
-            policies: its other arrays, each with a first axis of B.
+            policies: B policies, of NumPy arrays.
             starts: of each episode.
             noise: ``(B, T, p)``, added to the actions before they are clipped; ``(B, 0, p)`` for
                 none.
@@ -116,7 +113,9 @@ class EpisodeRunner:
         Raises:
             Interrupted: somebody asked for a stop.
         """
-        layer_sizes, stop = np.array(sizes), np.zeros(1, bool)
+        sizes, stop = np.array(policies.sizes), np.zeros(1, bool)
+        of_each = zip(*jax.tree.leaves(policies), strict=True)
+        perceptrons = [Perceptron(sizes, *arrays) for arrays in of_each]
         # All threads take episodes from this iterator; Python's lock makes taking one atomic.
         waiting = iter(range(len(result.lengths)))
 
@@ -132,7 +131,7 @@ class EpisodeRunner:
                     own.memory,
                     own.warnings,
                     own.layout,
-                    Perceptron(layer_sizes, *(array[i] for array in policies)),
+                    perceptrons[i],
                     noise[i],
                     stop,
                     Trajectory(*(array[i] for array in result[:4])),

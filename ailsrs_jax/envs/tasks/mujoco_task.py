@@ -4,7 +4,6 @@ import functools
 import importlib.util
 import os
 from abc import abstractmethod
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ import numpy as np
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.physics import (
     InitialState,
+    Perceptrons,
     Physics,
     PhysicsState,
     Range,
@@ -79,7 +79,7 @@ class MujocoTask(Env):
         self.action_low = np.float32(model.actuator_ctrlrange[:, 0])
         self.action_high = np.float32(model.actuator_ctrlrange[:, 1])
 
-    @property
+    @functools.cached_property
     def observation_size(self) -> int:
         """Length n of an observation."""
         data = mujoco.MjData(self.physics.model)
@@ -157,8 +157,7 @@ class MujocoTask(Env):
 
     def run_episodes(
         self,
-        sizes: Sequence[int],
-        policies: Sequence[jax.Array],
+        policies: Perceptrons,
         starts: InitialState,
         noise: jax.Array,
         episode_length: int,
@@ -166,9 +165,7 @@ class MujocoTask(Env):
         """Simulate an episode of each of B policies, on all cores.
 
         Args:
-            sizes: the ``sizes`` of all policies; see
-                :class:`~ailsrs_jax.envs.physics.episode_loop.Perceptron`.
-            policies: its other arrays, each with a first axis of B.
+            policies: B policies.
             starts: of each episode.
             noise: ``(B, T, p)``, added to the actions before they are clipped; ``(B, 0, p)`` for
                 none.
@@ -177,7 +174,7 @@ class MujocoTask(Env):
         Returns:
             The episodes, and rewards ``(B, T)`` that mean nothing after an episode's end.
         """
-        episodes = self._episode_runner(sizes, policies, starts, noise, episode_length)
+        episodes = self._episode_runner(policies, starts, noise, episode_length)
         readings = dict(episodes.records)
         qpos, qvel = readings.pop("qpos"), readings.pop("qvel")
         states = PhysicsState(qpos, qvel, carry=jnp.zeros(qpos.shape[:2]), readings=readings)

@@ -10,8 +10,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
 from ailsrs_jax.envs import Env, State
-from ailsrs_jax.envs.divergence import LARGEST, has_diverged
-from ailsrs_jax.envs.physics import InitialState
+from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.envs.physics import InitialState, Perceptrons
+from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.episodes import Episodes, empty_episodes
 from ailsrs_jax.trainers.parts.slots import simulate_in_slots
 
@@ -121,7 +122,7 @@ def simulate(
     @merge_vmapped_axis
     def of_all(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
         if getattr(env, "runs_episodes", False) and isinstance(policies, LinearPolicy | MlpPolicy):
-            return _run_on_threads(env, policies, starts, noise, episode_length)
+            return _run_whole(env, policies, starts, noise, episode_length)
         reset = env.start if isinstance(starts, InitialState) else env.reset
         initial = jax.vmap(reset)(starts)
         if batch_size is None or batch_size >= len(initial.obs):
@@ -158,7 +159,7 @@ def merge_vmapped_axis(function: Callable[..., Any]) -> Callable[..., Any]:
     return merged
 
 
-def _run_on_threads(
+def _run_whole(
     env: Any,
     policies: Policy,
     starts: Starts,
@@ -177,19 +178,15 @@ def _run_on_threads(
         for matrix, bias in zip(weights, biases, strict=True)
         for array in (matrix.swapaxes(1, 2), bias)
     ]
-    run, rewards = env.run_episodes(
+    perceptrons = Perceptrons(
+        jnp.concatenate(parameters, axis=1),
+        policies.mean,
+        policies.std,
+        policies.action_low,
+        policies.action_high,
         sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
-        policies=(
-            jnp.concatenate(parameters, axis=1),
-            policies.mean,
-            policies.std,
-            policies.action_low,
-            policies.action_high,
-        ),
-        starts=starts,
-        noise=noise,
-        episode_length=episode_length,
     )
+    run, rewards = env.run_episodes(perceptrons, starts, noise, episode_length)
     time = jnp.arange(episode_length)
     # Comparisons with NaN are false.
     absurd = (time < run.lengths[:, None]) & ~(jnp.abs(rewards) <= LARGEST)

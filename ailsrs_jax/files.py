@@ -1,8 +1,10 @@
 """Reading files that may be damaged or hostile, and writing files atomically."""
 
+import contextlib
 import json
 import os
-import tempfile
+import secrets
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +18,27 @@ PARTIAL = ".partial"  # suffix of the hidden file of a process that is killed wh
 
 
 def write_atomically(path: str | Path, content: bytes | str) -> None:
-    """Write ``content`` to a temporary file beside ``path``, then rename it to ``path``.
+    """Write ``content`` to a temporary file beside the file ``path``, and rename it to that file.
+
+    A link stays a link, and its target is written. A new file has the permissions that the umask
+    leaves; a file that is there keeps its own.
 
     Raises:
-        UserError: the file cannot be written.
+        UserError: there is something else than a regular file, or the file cannot be written.
     """
     path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.name}.", suffix=PARTIAL, delete=False
-        ) as file:
-            temporary = Path(file.name)
+        target = _followed(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{PARTIAL}")
+        with temporary.open("xb") as file:
             try:
                 file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
-                temporary.chmod(0o644)  # temporary files are private, results are not
-                temporary.replace(path)
+                if target.exists():
+                    temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+                temporary.replace(target)
             except BaseException:
                 temporary.unlink()
                 raise
@@ -52,15 +57,28 @@ def write_json(path: Path, value: Any) -> None:
 
 def require_writable(path: Path) -> None:
     """Raise UserError unless a file can be written at ``path``; called before a long run."""
-    folder = path.parent
     try:
+        folder = _followed(path).parent
         while not folder.exists():
             folder = folder.parent
-        writable = not path.is_dir() and folder.is_dir() and os.access(folder, os.W_OK)
+        writable = folder.is_dir() and os.access(folder, os.W_OK)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from error
     if not writable:
         raise UserError(f"cannot write {path}")
+
+
+def _followed(path: Path) -> Path:
+    """Return the file to which links lead from ``path``; it need not exist.
+
+    Raises:
+        UserError: there is something else than a regular file.
+        OSError: the links lead in a circle, or a folder is a file.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise UserError(f"cannot write {path}: it is not a regular file")
+    return path.resolve()
 
 
 def require_file(path: Path) -> None:

@@ -55,6 +55,45 @@ def test_every_message_is_one_short_printable_line() -> None:
     assert message.isprintable()
 
 
+def test_a_link_is_written_through(tmp_path: Path) -> None:
+    """The link stays, also where its target is new, and nothing else is left anywhere."""
+    target, link = tmp_path / "there" / "target", tmp_path / "link"
+    link.symlink_to("there/target")
+    for content in (b"new", b"newer"):
+        files.require_writable(link)
+        files.write_atomically(link, content)
+        assert link.is_symlink()
+        assert target.read_bytes() == content
+    assert sorted(tmp_path.rglob("*")) == [link, target.parent, target]
+
+
+def test_what_is_not_a_regular_file_is_refused(tmp_path: Path) -> None:
+    fifo, device, circle = (tmp_path / name for name in ("fifo", "device", "circle"))
+    os.mkfifo(fifo)
+    device.symlink_to(os.devnull)
+    circle.symlink_to(circle)
+    for path in (fifo, device, circle, tmp_path):
+        for write in (files.require_writable, lambda path: files.write_atomically(path, b"")):
+            with pytest.raises(UserError, match=f"^cannot write {path}: (it is not a|Too many)"):
+                write(path)
+    assert fifo.is_fifo()
+    assert device.is_char_device()
+    assert sorted(tmp_path.iterdir()) == [circle, device, fifo]
+
+
+def test_the_umask_gives_the_permissions_of_a_new_file_only(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    before = os.umask(0o027)
+    try:
+        files.write_atomically(path, b"new")
+        assert path.stat().st_mode & 0o777 == 0o640
+        path.chmod(0o606)
+        files.write_atomically(path, b"newer")
+        assert path.stat().st_mode & 0o777 == 0o606
+    finally:
+        os.umask(before)
+
+
 def test_a_failed_write_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,7 +52,7 @@ def report(
         UserError: the directory holds neither a run nor a sweep, a file in it is damaged, or the
             page cannot be written.
     """
-    directory = Path(directory)
+    directory, is_default = Path(directory), output is None
     output = directory / "report.html" if output is None else Path(output)
     if episodes < 1:
         raise UserError(f"episodes is {episodes}: it must be at least 1")
@@ -61,6 +61,9 @@ def report(
         if _holds(directory, SWEEP_FILE):
             raise UserError(f"{directory}: no run of this sweep is finished yet")
         raise UserError(f"{directory} is neither a run nor a sweep: no config.json, no results.csv")
+    # In a stranger's directory it could lead to any file of ours.
+    if is_default and output.is_symlink():
+        raise UserError(f"{output} is a link: choose an --output, or remove it")
     require_writable(output)
     if is_sweep:
         page = sweep_page(directory, video=video)

@@ -1,5 +1,6 @@
 """Wrong input: one line on standard error, exit code 2, and nothing written."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -126,11 +127,13 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
         "export empty --output policy.onnx",
         "demonstrate hopper --num-trajectories 0 --output demonstrations.npz",
         "demonstrate hopper --num-trajectories 1 --output /proc/demonstrations.npz",
+        "demonstrate hopper --num-trajectories 1 --output fifo.npz",
         "demonstrate hoper --output demonstrations.npz",
         "demonstrate hopper --output minari:hopper",
         "demonstrate hopper --output file/demonstrations.npz",
         "expert hoper --output expert.npz",
         "expert hopper --output file/expert.npz",
+        "expert hopper --output fifo.npz",
         "expert hopper --output expert.pt",
         "expert hopper --set num_top_directions=1000 --output expert.npz",
     ],
@@ -138,6 +141,7 @@ def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:
 def test_mistakes_are_one_line_and_exit_code_2(arguments: str, monkeypatch, capsys) -> None:
     Path("file").write_text("in the way")
     Path("empty").mkdir()
+    os.mkfifo("fifo.npz")
     before = sorted(Path().iterdir())
     code = ailsrs(monkeypatch, *arguments.split())
     one_line_and_nothing_written(code, capsys, before)

@@ -215,6 +215,10 @@ def test_mistakes(tmp_path: Path) -> None:
         ail.report(tmp_path)
     with pytest.raises(ail.UserError, match="cannot write"):
         ail.report(run, run / "config.json" / "page.html")
+    (run / "report.html").symlink_to(run / "config.json")
+    with pytest.raises(ail.UserError, match=r"report.html is a link: choose an --output"):
+        ail.report(run)
+    (run / "report.html").unlink()
     (tmp_path / "sweep.json").write_text("{}")
     with pytest.raises(ail.UserError, match="no run of this sweep is finished yet"):
         ail.report(tmp_path)

@@ -145,6 +145,11 @@ def record(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: ask for at "
             "least one"
         )
+    if num_trajectories * episode_length >= 2**31:
+        raise UserError(
+            f"{num_trajectories} trajectories of {episode_length} steps are too many: their steps "
+            "are counted in 32 bits, below 2^31"
+        )
     if not (math.isfinite(action_noise) and action_noise >= 0):
         raise UserError(f"action_noise is {action_noise}: it must be 0 or more")
     require_seed(seed)

@@ -148,6 +148,19 @@ def test_names_from_files_are_only_text(tmp_path: Path) -> None:
     assert page.text.count(HOSTILE) >= 5
 
 
+def test_nothing_is_simulated_because_a_file_says_how_much(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The expert's return is in ``result.json``, however many demonstrations it is of."""
+    source = {"kind": "expert", "name": None, "num_left_out": 0}
+    run = write_run(tmp_path / "run", env_id="Hopper-v5", source=source, num_trajectories=100_000)
+    shutil.rmtree(run / "seed_0")
+    monkeypatch.setattr("ailsrs_jax.runs.demonstrate.roll_out", None)
+    page = Reader(ail.report(run))
+    assert "100000 demonstrations of the expert that ships" in page.text
+    assert "expert -20 return of the demonstrations" in page.text
+
+
 def test_a_sweep(tmp_path: Path) -> None:
     rows = [
         row(0.9 + 0.02 * seed, label=label, env_id=env_id, seed=seed)
@@ -198,6 +211,9 @@ def test_a_sweep_shows_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ({"algorithm": "bc"}, "has no column validation_loss"),
         ({"settings": None}, "settings is None"),
         ({"settings": {"a": [1]}}, "'a' is [1], not a value"),
+        ({"num_trajectories": 2**31}, "num_trajectories is 2147483648"),
+        ({"num_trajectories": 0}, "num_trajectories is 0"),
+        ({"subsample": 10**4000}, "subsample is 1000"),
         ({"env_id": "a\nb"}, "env_id is not the name"),
     ],
 )

@@ -135,7 +135,8 @@ def _require_config(config: Mapping[str, Any], path: Path) -> None:
             raise UserError(f"{path}: {reprlib.repr(name)} is {reprlib.repr(value)}, not a value")
     for name in ("num_trajectories", "subsample"):
         value = config[name]
-        if (value is None) != (config["source"] is None) or not (value is None or value >= 1):
+        is_wrong = value is not None and not (value >= 1 and _is_count(value))
+        if is_wrong or (value is None) != (config["source"] is None):
             shown = "missing" if value is None else reprlib.repr(value)
             raise UserError(f"{path} is not the configuration of a run: {name} is {shown}")
 

@@ -15,6 +15,9 @@ def energy_distance(x: jax.Array, y: jax.Array, y_spread: jax.Array) -> jax.Arra
 
 def mean_distance(x: jax.Array, y: jax.Array) -> jax.Array:
     """Return E‖X − Y‖ over all pairs of rows of ``x (m, d)`` and ``y (k, d)``."""
+    # Far from the origin, float32 would lose the distances in the squares below.
+    center = jnp.mean(y, axis=0)
+    x, y = x - center, y - center
     # ‖x − y‖² = ‖x‖² + ‖y‖² − 2 x·y: one matrix product instead of an (m, k, d) array.
     products = jnp.matmul(x, y.T, precision="highest")
     squares = jnp.sum(x * x, -1)[:, None] + jnp.sum(y * y, -1) - 2.0 * products

@@ -27,6 +27,13 @@ def test_equals_the_definition_in_several_dimensions() -> None:
     np.testing.assert_allclose(energy_distance(x, y), expected, rtol=1e-3)
 
 
+def test_is_the_same_far_from_the_origin() -> None:
+    x = jax.random.normal(jax.random.key(0), (200, 11))
+    y = 2.0 * jax.random.normal(jax.random.key(1), (150, 11)) + 1.0
+    near = energy_distance(x, y)
+    np.testing.assert_allclose(energy_distance(x + 1e4, y + 1e4), near, rtol=1e-3)
+
+
 def test_grows_with_the_difference() -> None:
     x = jax.random.normal(jax.random.key(0), (300, 3))
     y = jax.random.normal(jax.random.key(1), (300, 3))

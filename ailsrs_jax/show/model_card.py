@@ -104,8 +104,8 @@ def model_card(
     card = ModelCard.from_template(
         metadata,
         template_path=str(TEMPLATE),
-        title=_escape(title),
-        facts={name: _escape(value) for name, value in facts.items()},
+        title=escape_markdown(title),
+        facts={name: escape_markdown(value) for name, value in facts.items()},
         command=command and _printable(command),
         origin=origin,
         kind=kind,
@@ -123,9 +123,10 @@ def _demonstrations(run: SavedRun) -> str:
     return f"{run.config['num_trajectories']} {described}{steps}; SHA-256 {sha256}"
 
 
-def _escape(text: str) -> str:
+def escape_markdown(text: str) -> str:
     """Escape what Markdown or HTML would interpret, also within a table."""
-    return re.sub(r"([\\`*_{}\[\]<>|#])", r"\\\1", _printable(text))
+    # Underscores within a word and brackets without an address behind them are only text.
+    return re.sub(r"[\\`*<>|#~$]|(?<!\w)_|_(?!\w)|\](?=\()", r"\\\g<0>", _printable(text))
 
 
 def _printable(text: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from ailsrs_jax.files import write_atomically
+from ailsrs_jax.show.model_card import escape_markdown
 from ailsrs_jax.sweeps.results import NOT_RUN, SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import (
     Estimate,
@@ -129,21 +130,25 @@ def timings_table(results: SweepResults) -> str:
                     " and ".join(dict.fromkeys(timing.hardware for timing in timed)),
                 ]
             )
-    return f"{TIMED}\n\n{markdown_table([*header, 'hardware'], rows)}\n"
+    return f"{TIMED}\n\n{markdown_table([*header, 'hardware'], _escaped(rows))}\n"
 
 
 def markdown_section(table: Table, level: int = 2) -> list[str]:
     """Return the heading, the note and the table."""
-    parts = [f"{'#' * level} {table.title}", table.note, markdown_table(table.header, table.rows)]
+    title, rows = escape_markdown(table.title), _escaped(table.rows)
+    parts = [f"{'#' * level} {title}", table.note, markdown_table(table.header, rows)]
     return [part for part in parts if part]
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table; bars in its fields are escaped."""
+    """Return a Markdown table, whose fields are Markdown."""
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(
-        "| " + " | ".join(field.replace("|", "\\|") for field in line) + " |" for line in lines
-    )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _escaped(rows: Iterable[Sequence[str]]) -> list[list[str]]:
+    """Escape what a stranger's tables may hold, such as labels."""
+    return [[escape_markdown(field) for field in row] for row in rows]
 
 
 def plus_minus(values: np.ndarray, decimals: int = 0) -> str:

@@ -229,7 +229,7 @@ def test_names_are_no_markup(in_tmp_path: Path) -> None:
             "versions": {"<i>": "|"},
         }
     )
-    assert r"of a\|\`\<b\>\*\[x\](y).npz, every 20th" in card
+    assert r"of a\|\`\<b\>\*[x\](y).npz, every 20th" in card
     assert r"| versions | \<i\> \| |" in card
 
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from ailsrs_jax.show.figures import draw_figures, draw_levels
-from ailsrs_jax.show.sweep_report import report_sweep, results_table
+from ailsrs_jax.show.sweep_report import report_sweep, results_table, timings_table
 from ailsrs_jax.sweeps.results import read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from tests.sweeps.synthetic_sweep import cells, row, write_sweep
@@ -53,6 +53,19 @@ def test_a_sweep_leaves_tables_and_figures(tmp_path: Path) -> None:
         frame = [image[0], image[-1], image[:, 0], image[:, -1]]
         assert all((edge[..., :3] == 1).all() for edge in frame), stem
         assert (image[..., :3] != 1).any(), stem
+
+
+def test_names_from_files_are_only_text(tmp_path: Path) -> None:
+    label = "a|[x](https://x.invalid) <b>_c_ *d* `e` ~~f~~ step_size"
+    escaped = r"a\|[x\](https://x.invalid) \<b\>\_c\_ \*d\* \`e\` \~\~f\~\~ step_size"
+    rows = [row(0.9, label=label), row(0.9, cell="broken", status="failed: <i>")]
+    write_sweep(tmp_path, [each | {"env_id": "Hopper-v5\n# <h1>"} for each in rows])
+    results = read_results(tmp_path)
+    for table in (results_table(results), timings_table(results)):
+        assert f"\n| {escaped} | " in table
+        assert r"Hopper-v5\\n\# \<h1\>" in table
+        assert label not in table
+    assert r"| broken | failed: \<i\> |" in results_table(results)
 
 
 def test_figures_are_the_same_bytes_again(tmp_path: Path) -> None:

@@ -1,5 +1,15 @@
-"""``python -m ailsrs_jax`` is ``ailsrs``."""
+"""The program ``ailsrs``, also as ``python -m ailsrs_jax``."""
 
-from ailsrs_jax.cli.main import main
+from ailsrs_jax.cli.signals import end_on_ctrl_c
 
-main()
+
+def main() -> None:
+    """Run the command line; from now on Ctrl-C ends it in one line."""
+    end_on_ctrl_c()
+    from ailsrs_jax.cli.main import main  # takes half a second
+
+    main()
+
+
+if __name__ == "__main__":
+    main()

@@ -81,6 +81,7 @@ def benchmark(
         episode_length: Environment steps of an episode.
         repeats: Times that each stage is measured; the median counts.
     """
+    from ailsrs_jax.cli.signals import keyboard_interrupts
     from ailsrs_jax.envs.physics import choose_engine
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs.benchmark.speed import benchmark
@@ -91,7 +92,7 @@ def benchmark(
     engines = [choose_engine(engine)[0] for engine in physics]
     rows: list[Row] = []
     ratios: dict[str, float] = {}
-    with terminal.console.status("measuring") as status:
+    with keyboard_interrupts(), terminal.console.status("measuring") as status:
         for done in benchmark(env_ids, engines, num_directions, episode_length, repeats):
             rows += done.rows
             ratios |= done.ratios

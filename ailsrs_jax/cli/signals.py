@@ -4,12 +4,48 @@ import contextlib
 import os
 import signal
 import socket
-import sys
 import threading
+from collections.abc import Iterator
+from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SHOW_CURSOR = b"\x1b[?25h"
 NOTE = ": stopping; once more to stop at once, without saving"
+
+
+def end_on_ctrl_c() -> None:
+    """Let Ctrl-C end the process, in one line.
+
+    Python's own handler raises KeyboardInterrupt, which is lost in callbacks of the garbage
+    collector. JAX has one.
+    """
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as under nohup
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+@contextlib.contextmanager
+def keyboard_interrupts() -> Iterator[None]:
+    """Let Ctrl-C raise KeyboardInterrupt, for code that has to end other processes."""
+    handler = signal.getsignal(signal.SIGINT)
+    if handler != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _interrupt(number: int, _: object) -> None:
+    with contextlib.suppress(OSError):  # standard error may be closed
+        os.write(2, b"ailsrs: interrupted\n")
+    _end(number)
+
+
+def _end(number: int) -> NoReturn:
+    for descriptor in (1, 2):
+        if os.isatty(descriptor):
+            os.write(descriptor, SHOW_CURSOR)  # a progress bar has hidden it
+    os._exit(128 + number)
 
 
 class StopSignals:
@@ -33,16 +69,19 @@ class StopSignals:
         self._listener, self._teller = socket.socketpair()
         self._teller.setblocking(False)  # set_wakeup_fd requires it
         # Signals that are ignored already, as under nohup, stay ignored.
-        handled = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
-        self._handlers = {number: signal.signal(number, lambda *_: None) for number in handled}
-        self._wakeup_fd = signal.set_wakeup_fd(self._teller.fileno())
+        handlers = {number: signal.getsignal(number) for number in SIGNALS}
+        self._handlers = {n: each for n, each in handlers.items() if each != signal.SIG_IGN}
         threading.Thread(target=self._listen, name="signals", daemon=True).start()
+        # In this order, here and at the end, no signal is lost.
+        self._wakeup_fd = signal.set_wakeup_fd(self._teller.fileno())
+        for number in self._handlers:
+            signal.signal(number, lambda *_: None)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        signal.set_wakeup_fd(self._wakeup_fd)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
+        signal.set_wakeup_fd(self._wakeup_fd)
         self._teller.close()  # this ends the thread
 
     def _listen(self) -> None:
@@ -51,9 +90,7 @@ class StopSignals:
                 if number[0] not in self._handlers:
                     continue
                 if self.received is not None:
-                    if sys.__stdout__ is not None and sys.__stdout__.isatty():
-                        os.write(1, SHOW_CURSOR)  # a progress bar has hidden it
-                    os._exit(128 + number[0])
+                    _end(number[0])
                 self.received = signal.Signals(number[0])
                 # Written directly, because the display may be busy when the next signal arrives.
                 with contextlib.suppress(OSError):  # standard error may be closed

@@ -1,6 +1,5 @@
 """The commands for many runs: ``ailsrs sweep`` and ``ailsrs merge``."""
 
-import contextlib
 import dataclasses
 import os
 import signal
@@ -50,7 +49,7 @@ def sweep(
         dry_run: Only print what would run, and what it costs at most.
     """
     from ailsrs_jax.cli.progress import SweepProgress
-    from ailsrs_jax.cli.signals import StopSignals
+    from ailsrs_jax.cli.signals import StopSignals, keyboard_interrupts
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.sweeps import sweep as sweeps
     from ailsrs_jax.sweeps.estimate import estimate
@@ -74,7 +73,7 @@ def sweep(
     grid.save(output / sweeps.SWEEP_FILE)
     terminal.line(f"{spec} · {len(grid.cells)} cells · {output}")
     stop = StopSignals()
-    listening = stop if launcher == "local" else contextlib.nullcontext()
+    listening = stop if launcher == "local" else keyboard_interrupts()
     try:
         with listening, SweepProgress(terminal.console, units, output) as watch:
             rows = sweeps.run_units(grid, pending, output, launcher, track, watch, stop)

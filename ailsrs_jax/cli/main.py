@@ -8,7 +8,6 @@ import inspect
 import logging
 import os
 import re
-import signal
 import sys
 from collections.abc import Callable
 
@@ -63,9 +62,6 @@ def main() -> None:
     except KeyboardInterrupt:
         print("ailsrs: interrupted", file=sys.stderr)
         sys.exit(130)
-    except BrokenPipeError:  # the reader has gone, as after "| head"
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(128 + signal.SIGPIPE)
     except (UserError, VersionError) as error:
         print(f"ailsrs: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

@@ -8,6 +8,8 @@ import threading
 from collections.abc import Iterator
 from typing import NoReturn
 
+from ailsrs_jax.cli.streams import reader_has_gone
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SHOW_CURSOR = b"\x1b[?25h"
 NOTE = ": stopping; once more to stop at once, without saving"
@@ -62,7 +64,9 @@ class StopSignals:
         self.received: signal.Signals | None = None
 
     def __call__(self) -> bool:
-        """Return whether a signal has arrived."""
+        """Return whether a signal has arrived; it counts as SIGPIPE if nobody reads the output."""
+        if self.received is None and reader_has_gone():
+            self.received = signal.SIGPIPE
         return self.received is not None
 
     def __enter__(self) -> "StopSignals":

@@ -47,6 +47,18 @@ def test_a_run_goes_on_when_output_is_full() -> None:
     assert Path("run/training_curve.png").exists()
 
 
+def test_a_run_is_saved_when_its_reader_goes() -> None:
+    with start(f"{TRAIN} --iterations 100000 --output run") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        saved, command = process.stderr.read().splitlines()
+    assert (process.returncode, saved) == (141, "saved; continue with:")
+    assert command.endswith("--resume")
+    assert not json.loads(Path("run/result.json").read_text())["finished"]
+
+
 def test_characters_that_cannot_be_printed_are_escapes() -> None:
     command = f"evaluate {expert_path('Swimmer-v5')} --episodes 1"
     printed, errors = start(command, PYTHONIOENCODING="ascii", COLUMNS="200").communicate()

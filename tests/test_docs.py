@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,20 @@ SMALLER = {
 
 def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
+
+
+def test_plots_and_videos_need_no_extra_and_every_extra_that_is_named_exists() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    installed = {re.split(r"\W", each)[0] for each in project["dependencies"]}
+    assert {"matplotlib", "av"} <= installed
+    texts = (*PAGES, ROOT / "Dockerfile", *sorted((ROOT / "ailsrs_jax").rglob("*.py")))
+    named = {
+        extra
+        for text in texts
+        for group in re.findall(r"(?:ailsrs_jax|'\.|\$1)\[([a-z,]+)\]", text.read_text())
+        for extra in group.split(",")
+    }
+    assert {"cuda", "export", "minari"} <= named <= set(project["optional-dependencies"])
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,6 @@ from ailsrs_jax.cli.arguments import (
     Seed,
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
-from ailsrs_jax.errors import UserError
-from ailsrs_jax.versions import VersionError
 
 
 def render(
@@ -82,12 +80,7 @@ def report(
         episodes: Episodes of each policy of a run, to measure its return.
         no_video: Leave out the video of the policies, which takes the most time.
     """
-    try:
-        from ailsrs_jax.show.report import report
-    except VersionError:
-        raise
-    except ImportError:
-        raise UserError("a report needs pip install 'ailsrs_jax[plot]'") from None
+    from ailsrs_jax.show.report import report
 
     with terminal.console.status("writing the report"):
         path = report(directory, output, episodes=episodes, video=not no_video)

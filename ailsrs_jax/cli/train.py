@@ -168,6 +168,7 @@ def train(
 def report_result(result: "Result", output: Path, physics: str, terminal: Terminal) -> None:
     """Evaluate the kept policies, print their returns and draw the training curve."""
     from ailsrs_jax.runs.evaluation import evaluate
+    from ailsrs_jax.show.curves import plot_training_curve
 
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     fields: list[dict[str, Any]] = []
@@ -188,12 +189,7 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
         expert = float(result.expert_returns.mean()), float(result.expert_returns.std())
         table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}", style="dim")
     terminal.console.print(table)
-    try:
-        from ailsrs_jax.show.curves import plot_training_curve
-
-        plot_training_curve(output)
-    except ImportError:
-        terminal.line("no training_curve.png: it needs pip install 'ailsrs_jax[plot]'")
+    plot_training_curve(output)
     terminal.line(f"policies, metrics and training curve are in {output}")
     config = result.config
     terminal.json(

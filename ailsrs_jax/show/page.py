@@ -14,7 +14,7 @@ from ailsrs_jax.show.renderer import require_renderer
 from ailsrs_jax.show.replay import replay
 from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
-from ailsrs_jax.show.video import Animation, data_uri, require_encoder
+from ailsrs_jax.show.video import Animation, data_uri
 
 SECONDS = 10.0  # of each episode that is shown
 SCORES = (
@@ -90,7 +90,6 @@ def play(
         policies = {"expert": expert} | policies
         caption += ", beside the shipped expert from the same initial state"
     try:
-        require_encoder()
         require_renderer()
         for policy in policies.values():
             require_harmless(policy.env_id, title)

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from ailsrs_jax.files import write_atomically
+from ailsrs_jax.show.figures import save_figures
 from ailsrs_jax.show.model_card import escape_markdown
 from ailsrs_jax.sweeps.results import NOT_RUN, SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import (
@@ -48,7 +48,7 @@ def report_sweep(directory: str | Path) -> None:
     """Write ``table.md``, ``timings.md`` and ``figures/`` from the tables in ``directory``.
 
     ``table.md`` depends on ``results.csv`` alone; everything that depends on the clock is in
-    ``timings.md``. Without matplotlib a line says that there are no figures.
+    ``timings.md``.
 
     Raises:
         UserError: a table cannot be read.
@@ -57,13 +57,6 @@ def report_sweep(directory: str | Path) -> None:
     results = read_results(directory)
     write_atomically(directory / "table.md", results_table(results))
     write_atomically(directory / "timings.md", timings_table(results))
-    try:
-        from ailsrs_jax.show.figures import save_figures
-    except ImportError:
-        Console(stderr=True).print(
-            "no figures: they need pip install 'ailsrs_jax[plot]'", markup=False
-        )
-        return
     save_figures(results, directory / "figures")
 
 

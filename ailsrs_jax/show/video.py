@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -77,9 +78,8 @@ class Animation:
         """The video, H.264.
 
         Raises:
-            UserError: there is no renderer, or PyAV is missing.
+            UserError: there is no renderer.
         """
-        require_encoder()
         return encode(self.frames, self.fps)
 
     @property
@@ -102,7 +102,7 @@ class Animation:
         """Write ``.mp4``, or ``.html`` with Brax's viewer, which needs no renderer.
 
         Raises:
-            UserError: another suffix, no renderer, no PyAV, or the file cannot be written.
+            UserError: another suffix, no renderer, or the file cannot be written.
         """
         path = Path(path)
         require_suffix(path)
@@ -148,8 +148,8 @@ def render(
         The animation. Its ``frames`` are an array; ``save`` writes it to another file.
 
     Raises:
-        UserError: an argument is wrong, MuJoCo does not simulate the task, there is no renderer,
-            or PyAV is missing.
+        UserError: an argument is wrong, MuJoCo does not simulate the task, or there is no
+            renderer.
     """
     if not 16 <= size <= 4096 or size % 2:
         raise UserError(f"size is {size}: it must be an even number from 16 to 4096")
@@ -166,7 +166,6 @@ def render(
                 "an expert of the same task, or show the policy alone"
             )
     if output is None or output.suffix == ".mp4":
-        require_encoder()
         require_renderer()
     replays = [
         replay(each, env=env, physics=physics, seed=seed, seconds=seconds)
@@ -214,18 +213,8 @@ def require_suffix(path: Path) -> None:
         raise UserError(f"{path}: the name must end in {' or '.join(SUFFIXES)}")
 
 
-def require_encoder() -> None:
-    """Raise UserError unless PyAV is installed."""
-    try:
-        import av  # noqa: F401
-    except ImportError:
-        raise UserError("no video: MP4 needs pip install 'ailsrs_jax[video]'") from None
-
-
 def encode(frames: np.ndarray, fps: Fraction) -> bytes:
     """Encode ``frames (T, H, W, 3)`` uint8, H and W even, as an MP4 file."""
-    import av
-
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "21"})

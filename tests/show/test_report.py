@@ -5,7 +5,6 @@ import dataclasses
 import json
 import shutil
 import subprocess
-import sys
 from fractions import Fraction
 from html.parser import HTMLParser
 from pathlib import Path
@@ -22,7 +21,6 @@ from ailsrs_jax.show.page import Media, Page, Tile
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import data_uri, encode
 from ailsrs_jax.trainers.algorithms import preset_settings
-from tests.cli.test_cli import ailsrs
 from tests.point_mass import EXPERT_WEIGHTS
 from tests.sweeps.synthetic_sweep import row, write_sweep
 
@@ -194,7 +192,6 @@ def test_a_sweep_shows_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     write_sweep(tmp_path, [each | {"random_return": 0.0} for each in rows])
     write_run(tmp_path / "cells" / "here")
     page = Reader(ail.report(tmp_path))
-    pytest.importorskip("av")
     assert "no video: MUJOCO_GL=disabled fails here; on Debian or Ubuntu: apt-get" in page.text
     assert f"ailsrs train {POINT_MASS}" in page.text
     assert "Discriminator's scores The gap between" in page.text
@@ -245,14 +242,6 @@ def test_mistakes(tmp_path: Path) -> None:
         ail.report(run)
 
 
-def test_without_matplotlib_one_line_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "ailsrs_jax.show.report", None)
-    assert ailsrs(monkeypatch, "report", tmp_path) == 2
-    assert "a report needs pip install 'ailsrs_jax[plot]'" in capsys.readouterr().err
-
-
 # -------------------------------------------------------------------------------- in a real browser
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
@@ -281,7 +270,6 @@ def open_in_browser(page: Path, log: Path) -> tuple[str, list[str], list[str]]:
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium: apt-get install chromium")
 def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Path) -> None:
-    pytest.importorskip("av")
     film = encode(np.zeros((3, 16, 16, 3), np.uint8), Fraction(10))
     video = Media("video", data_uri("video/mp4", film), HOSTILE)
     page = Page(

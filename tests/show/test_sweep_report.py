@@ -1,9 +1,7 @@
 import hashlib
-import sys
 from pathlib import Path
 
 import matplotlib.image
-import pytest
 from matplotlib.figure import Figure
 
 from ailsrs_jax.show.figures import draw_figures, draw_levels
@@ -133,13 +131,3 @@ def test_each_source_of_demonstrations_has_an_expert() -> None:
 def test_series_of_nearly_the_same_name_have_a_figure_each(tmp_path: Path) -> None:
     write_sweep(tmp_path, [row(0.9, label="x=1"), row(0.9, label="x=-1")])
     assert {"figure_3_x_1", "figure_3_x_1_2"} <= draw_figures(read_results(tmp_path)).keys()
-
-
-def test_without_matplotlib_there_are_tables_and_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "ailsrs_jax.show.figures", None)
-    report_sweep(write_sweep(tmp_path, [row(0.9)]))
-    assert capsys.readouterr().err == "no figures: they need pip install 'ailsrs_jax[plot]'\n"
-    assert (tmp_path / "table.md").exists()
-    assert not (tmp_path / "figures").exists()

@@ -5,12 +5,12 @@ import dataclasses
 import io
 import json
 import re
-import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import av
 import mujoco
 import numpy as np
 import pytest
@@ -130,7 +130,6 @@ def test_panels_are_side_by_side_in_rows_of_four() -> None:
 
 
 def test_an_mp4_holds_the_frames() -> None:
-    av = pytest.importorskip("av")
     frames = np.zeros((12, 64, 96, 3), np.uint8)
     frames[:, :, :48] = np.linspace(0, 255, 12).astype(np.uint8)[:, None, None, None]
     animation = Animation([made_up(11, 0.008)], ["policy"])
@@ -140,13 +139,6 @@ def test_an_mp4_holds_the_frames() -> None:
         assert stream.average_rate == animation.fps
         decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
     np.testing.assert_allclose(np.stack(decoded).astype(int), frames, atol=20)
-
-
-def test_without_pyav_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ail.UserError, match=r"MP4 needs pip install 'ailsrs_jax\[video\]'"):
-        ail.render(expert_path("Swimmer-v5"), "swimmer.mp4")
-    assert not Path("swimmer.mp4").exists()
 
 
 @pytest.mark.parametrize("asked", ["disabled", "nonsense"])
@@ -213,7 +205,6 @@ def test_brax_viewer_is_given_the_poses(slider: Slider, tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore")  # of OpenGL's bindings
 def test_expert_and_policy_are_drawn(slider: Slider, tmp_path: Path) -> None:
     """With whatever OpenGL library is here, found in a process that MuJoCo is imported in."""
-    av = pytest.importorskip("av")
     offscreen.require_renderer.cache_clear()
     try:
         offscreen.require_renderer()

@@ -145,11 +145,6 @@ def record(
             f"{num_trajectories} trajectories of {episode_length} steps asked for: ask for at "
             "least one"
         )
-    if num_trajectories * episode_length >= 2**31:
-        raise UserError(
-            f"{num_trajectories} trajectories of {episode_length} steps are too many: their steps "
-            "are counted in 32 bits, below 2^31"
-        )
     if not (math.isfinite(action_noise) and action_noise >= 0):
         raise UserError(f"action_noise is {action_noise}: it must be 0 or more")
     require_seed(seed)
@@ -159,6 +154,11 @@ def record(
         env = policy.env_id
     task = open_env(env, physics)
     length = episode_length or getattr(task.env, "time_limit", None) or EPISODE_LENGTH
+    if num_trajectories * length >= 2**31:
+        raise UserError(
+            f"{num_trajectories} trajectories of {length} steps are too many: their steps "
+            "are counted in 32 bits, below 2^31"
+        )
     if isinstance(policy, SavedPolicy):
         key, noise_std = jax.random.key(seed), action_noise or None
         episodes: Any = roll_out(policy, task.env, num_trajectories, key, length, noise_std)

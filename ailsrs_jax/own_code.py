@@ -1,4 +1,8 @@
-"""Objects from a user's own files, named ``module:attribute``, and the errors in these files."""
+"""Objects from a user's own files, named ``module:attribute``, and the errors in these files.
+
+People may name any code on the command line or in Python. A file may come from a stranger, so code
+that only a file names is not imported, not even to find out what it is.
+"""
 
 import contextlib
 import functools
@@ -14,22 +18,32 @@ from typing import Any
 
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 
+_allowed: set[str] = set()
+
 
 def is_own(name: str) -> bool:
     """Tell whether ``name`` has the form ``module:attribute``; nothing is imported."""
     return ":" in name
 
 
-def is_here(name: str) -> bool:
-    """Tell whether the module of ``module:attribute`` is in the current directory.
+def allow(*names: str) -> None:
+    """Allow files to name this code, because the user has named it in this process."""
+    _allowed.update(names)
 
-    People may name anything on the command line. A file may come from a stranger, so modules that
-    it names are imported only from the current directory.
+
+def require_allowed(name: str, source: str, option: str = "--env") -> None:
+    """Raise UserError if ``name`` is code of others that only the file ``source`` names.
+
+    Args:
+        name: ``module:attribute`` or another name, which is harmless.
+        source: the file, for the message.
+        option: of the command line, with which the user allows the name.
     """
-    parts = name.partition(":")[0].split(".")
-    path = Path.cwd().joinpath(*parts)
-    is_file = path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
-    return is_file and all(part.isidentifier() for part in parts)
+    if is_own(name) and name not in _allowed:
+        raise UserError(
+            f"{source} names {name}, code that could do anything, so it is not imported: if you "
+            f"trust it, repeat its name with {option} {name}"
+        )
 
 
 def load_own(name: str) -> Any:

@@ -9,6 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
+from ailsrs_jax import own_code
 from ailsrs_jax.data.demonstrations import Demonstrations
 from tests.point_mass import PointMass, point_mass_demonstrations
 
@@ -40,13 +41,14 @@ def point_mass() -> PointMass:
 
 @pytest.fixture
 def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty current directory; modules that are imported from it are forgotten afterwards."""
+    """An empty current directory; what is imported from it or allowed is forgotten afterwards."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
     directory = tmp_path / "work"
     directory.mkdir()
     monkeypatch.chdir(directory)
     monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_code, "_allowed", set())
     yield directory
     for name, module in list(sys.modules.items()):
         if str(getattr(module, "__file__", None)).startswith(str(directory)):

@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import allow
 
 EnvName = Annotated[
     str,
@@ -38,6 +39,15 @@ Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
 Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
 Every = Annotated[int, arg(metavar="K")]
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
+OwnEnv = Annotated[
+    str | None,
+    arg(
+        metavar="NAME",
+        help="The task that the file names, if it is your own or a module of Gymnasium "
+        "environments: such code is imported only if you repeat its name here.",
+        help_behavior_hint="",
+    ),
+]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 TrackerName = Annotated[
     str | None,
@@ -60,6 +70,12 @@ Settings = Annotated[
 Seeds = Annotated[
     UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
 ]
+
+
+def allow_env(name: str | None) -> None:
+    """Allow a file to name this environment; see :mod:`ailsrs_jax.own_code`."""
+    if name is not None:
+        allow(name)
 
 
 def assignments(groups: Sequence[Sequence[str]]) -> dict[str, str]:

@@ -8,10 +8,12 @@ from tyro.conf import Positional, arg
 from ailsrs_jax.cli.arguments import (
     Flag,
     OptionalPath,
+    OwnEnv,
     PhysicsName,
     PolicyPath,
     RealPhysicsName,
     Seed,
+    allow_env,
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 
@@ -25,6 +27,7 @@ def render(
     seed: Seed = 0,
     seconds: float = 10.0,
     size: int = 480,
+    env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Show one episode of a policy beside the expert's, from the same initial state.
@@ -41,6 +44,7 @@ def render(
     """
     from ailsrs_jax.show import video
 
+    allow_env(env)
     with terminal.console.status("rendering"):
         animation = video.render(
             policy,
@@ -66,6 +70,7 @@ def report(
     output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
     episodes: int = 100,
     no_video: Flag = False,
+    env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Write one self-contained HTML page on a run or a sweep.
@@ -82,6 +87,7 @@ def report(
     """
     from ailsrs_jax.show.report import report
 
+    allow_env(env)
     with terminal.console.status("writing the report"):
         path = report(directory, output, episodes=episodes, video=not no_video)
     terminal.line(str(path))
@@ -95,6 +101,7 @@ def export(
     physics: RealPhysicsName = "gymnasium",
     seed: Seed = 0,
     license_id: Annotated[str, arg(name="license", metavar="ID")] = "unknown",
+    env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Write a policy for other programs, or with a model card for other people.
@@ -112,6 +119,7 @@ def export(
     """
     from ailsrs_jax.show.export import export
 
+    allow_env(env)
     evaluation = export(
         policy, output, num_episodes=episodes, physics=physics, seed=seed, license_id=license_id
     )

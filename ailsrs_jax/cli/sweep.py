@@ -1,6 +1,7 @@
 """The commands for many runs: ``ailsrs sweep`` and ``ailsrs merge``."""
 
 import dataclasses
+import itertools
 import os
 import signal
 import sys
@@ -10,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.table import Table
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.cli.arguments import Count, Flag, OptionalPath, TrackerName
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, this_command
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import allow
 
 if TYPE_CHECKING:
     from ailsrs_jax.sweeps.estimate import CostEstimate
@@ -30,6 +32,10 @@ def sweep(
     launcher: Annotated[str, arg(metavar="local|ray")] = "local",
     track: TrackerName = None,
     dry_run: Flag = False,
+    own: Annotated[
+        UseAppendAction[tuple[tuple[str, ...], ...]],
+        arg(metavar="NAME ...", help_behavior_hint="(repeatable)"),
+    ] = (),
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Train every cell of a declarative grid: algorithms, tasks, demonstrations, settings, seeds.
@@ -47,6 +53,8 @@ def sweep(
         max_parallel: Train at most N cells as one program, with MJX; by default 64.
         launcher: Train on this machine, or on the Ray cluster that RAY_ADDRESS names.
         dry_run: Only print what would run, and what it costs at most.
+        own: Your own code that the spec names: environments, algorithms, rewards, losses. It is
+            imported only if you repeat its names here.
     """
     from ailsrs_jax.cli.progress import SweepProgress
     from ailsrs_jax.cli.signals import StopSignals, keyboard_interrupts
@@ -55,6 +63,7 @@ def sweep(
     from ailsrs_jax.sweeps.estimate import estimate
     from ailsrs_jax.sweeps.spec import expand, read_spec
 
+    allow(*itertools.chain(*own))
     sweeps.require_launcher(launcher)
     require_tracker(track)
     grid = expand(read_spec(spec))

@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.envs.tasks.swimmer import Swimmer
 from ailsrs_jax.envs.tasks.walker2d import Walker2d
 from ailsrs_jax.errors import UserError, did_you_mean, refusing
-from ailsrs_jax.own_code import is_here, is_own, load_own
+from ailsrs_jax.own_code import allow, is_own, load_own, require_allowed
 
 TASKS: dict[str, Callable[..., MujocoTask]] = {
     "Ant-v5": Ant,
@@ -89,6 +88,7 @@ def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
             environment.
     """
     env_id = resolve_env_id(name)
+    allow(env_id)
     return _make(env_id, _factory(env_id), physics, **flags)
 
 
@@ -100,6 +100,9 @@ def open_env(
 ) -> OpenEnv:
     """Return the environment called ``env``, or ``env`` itself if it is one, after checking it.
 
+    From then on files may name it, too. A name out of a file has to pass :func:`require_harmless`
+    before.
+
     Args:
         env: a task by name; a Brax environment; or a function that makes one of Gymnasium.
         physics: see :func:`make_env`.
@@ -109,6 +112,8 @@ def open_env(
     Raises:
         UserError: it is unknown, cannot be trained in, or does not let ``physics`` be chosen.
     """
+    if isinstance(env, str):
+        allow(env)
     if is_gymnasium(env):
         if physics not in ("auto", GymnasiumEnv.backend):
             raise UserError(f"physics '{physics}': an environment of Gymnasium has its own physics")
@@ -152,26 +157,16 @@ def takes_physics(name: str) -> bool:
     return not is_gymnasium(name) and _takes_physics(_factory(resolve_env_id(name)))
 
 
-def require_harmless(env_id: str, source: str) -> None:
+def require_harmless(env_id: str, source: str, option: str = "--env") -> None:
     """Raise UserError unless it is safe to look up and call ``env_id``, which a file names.
 
-    People may name anything on the command line. A file may come from a stranger and name something
-    harmful, so it must name one of this package's tasks, something in the current directory, or the
-    class of an environment.
+    Safe are this package's tasks, environments that are registered with Gymnasium without a module
+    in their name, and what the user has named in this process; see :func:`open_env`.
     """
-    if env_id in TASKS or not is_own(env_id) or is_here(env_id):
+    registered_id = env_id.removeprefix(PREFIX)
+    if is_gymnasium(env_id) and ":" not in registered_id and registered_id in gymnasium.registry:
         return
-    if is_gymnasium(env_id) and env_id.removeprefix(PREFIX) in gymnasium.registry:
-        return
-    parts = env_id.partition(":")[0].split(".")
-    if all(map(str.isidentifier, parts)) and parts[0] not in sys.stdlib_module_names:
-        factory = _factory(env_id)
-        if isinstance(factory, type) and issubclass(factory, Env):
-            return
-    raise UserError(
-        f"{source} names {env_id}, which is not a module in the current directory and could do "
-        "anything, so it is not imported; in Python, pass the environment as env"
-    )
+    require_allowed(env_id, source, option)
 
 
 def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:

@@ -19,7 +19,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.physics import choose_engine
-from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.host_calls import host_errors
@@ -151,6 +151,7 @@ def record(
     if env is None:
         if not isinstance(policy, SavedPolicy):
             raise UserError("a function names no environment: hand in env")
+        require_harmless(policy.env_id, "the policy")
         env = policy.env_id
     task = open_env(env, physics)
     length = episode_length or getattr(task.env, "time_limit", None) or EPISODE_LENGTH

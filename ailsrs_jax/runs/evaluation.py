@@ -11,7 +11,13 @@ from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import action_range, env_sizes
-from ailsrs_jax.envs.registry import TASKS, is_gymnasium, open_env, resolve_env_id
+from ailsrs_jax.envs.registry import (
+    TASKS,
+    is_gymnasium,
+    open_env,
+    require_harmless,
+    resolve_env_id,
+)
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
@@ -80,7 +86,7 @@ def evaluate(
             own task. It has no effect if ``env`` is given.
         seed: of the initial states.
         env: any environment that :func:`~ailsrs_jax.runs.run.train` takes; by default the task that
-            the policy names.
+            the policy names, if it is registered or was named in this process before.
         episode_length: the time limit in environment steps; by default the environment's own, and
             1000 if it has none.
         stochastic: draw the actions of a Gaussian policy instead of taking their mean.
@@ -93,6 +99,8 @@ def evaluate(
             f"{num_episodes} episodes of {episode_length} steps asked for: ask for at least one"
         )
     require_seed(seed)
+    if env is None:
+        require_harmless(policy.env_id, "the policy")
     task = _open(policy.env_id if env is None else env, physics)
     length = episode_length or _time_limit(task)
     noise_std = policy.noise_std if stochastic else None

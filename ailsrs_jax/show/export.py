@@ -7,7 +7,7 @@ from pathlib import Path
 from ailsrs_jax.data.formats.policy import FORMATS, require_format
 from ailsrs_jax.data.policies import SavedPolicy, load_policy, policy_files
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.registry import open_env, require_harmless
+from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
@@ -64,8 +64,6 @@ def export(
         source.save(output)
         return None
     origin = None if path is None else find_origin(source, path)
-    if path is not None and env is None:
-        require_harmless(source.env_id, str(path))
     _require_new(output)
     files = [output / f"policy{suffix}" for suffix in FORMATS]
     for file in files:

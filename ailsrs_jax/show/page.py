@@ -7,7 +7,6 @@ import jinja2
 from matplotlib.figure import Figure
 
 from ailsrs_jax.data.policies import SavedPolicy, load_policy
-from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.renderer import require_renderer
@@ -91,8 +90,6 @@ def play(
         caption += ", beside the shipped expert from the same initial state"
     try:
         require_renderer()
-        for policy in policies.values():
-            require_harmless(policy.env_id, title)
         replays = [replay(policy, seconds=SECONDS) for policy in policies.values()]
         uri = Animation(replays, list(policies), SIZES[len(policies)]).data_uri
     except UserError as error:

@@ -16,7 +16,7 @@ from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_name, env_sizes
-from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
@@ -131,6 +131,8 @@ def replay(
     if not seconds > 0:
         raise UserError(f"seconds is {seconds}: it must be positive")
     require_seed(seed)
+    if env is None:
+        require_harmless(policy.env_id, "the policy")
     task = open_env(policy.env_id if env is None else env, physics)
     if isinstance(task.env, GymnasiumEnv):
         return film(policy, task.env, seed, seconds)

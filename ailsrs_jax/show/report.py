@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy
-from ailsrs_jax.envs.registry import TASKS, is_gymnasium, require_harmless
+from ailsrs_jax.envs.registry import TASKS, is_gymnasium
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
@@ -123,7 +123,6 @@ def _evaluate(
     env_id = run.config["env_id"]
     physics = "gymnasium" if env_id in TASKS or is_gymnasium(env_id) else "auto"
     try:
-        require_harmless(env_id, str(run.directory))
         return {seed: evaluate(p, episodes, physics) for seed, p in policies.items()}, ""
     except UserError as error:
         return {}, f"Not measured: {error}."

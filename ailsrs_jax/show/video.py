@@ -15,7 +15,6 @@ from PIL import Image, ImageDraw, ImageFont
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy, policy_files
 from ailsrs_jax.data.sources import Source, parse_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.config import read_config
@@ -157,8 +156,8 @@ def render(
         output = Path(output)
         require_suffix(output)
         require_writable(output)
-    shown = {"policy": _load(policy, env)}
-    if not alone and (beside := _find_expert(policy, shown["policy"], expert, env)) is not None:
+    shown = {"policy": _load(policy)}
+    if not alone and (beside := _find_expert(policy, shown["policy"], expert)) is not None:
         shown = {"expert": beside} | shown
         if env is None and beside.env_id != shown["policy"].env_id:
             raise UserError(
@@ -186,25 +185,21 @@ def shipped_expert(env_id: str, *imitated: Source | None) -> SavedPolicy | None:
 
 
 def _find_expert(
-    policy: PolicyOrPath, loaded: SavedPolicy, expert: PolicyOrPath | None, env: Env | None
+    policy: PolicyOrPath, loaded: SavedPolicy, expert: PolicyOrPath | None
 ) -> SavedPolicy | None:
     """Return the expert that was asked for, else the one that ships for the task, if any."""
     if expert is not None:
-        return _load(expert, env)
+        return _load(expert)
     imitated = None
     if not isinstance(policy, SavedPolicy) and (path := Path(policy) / "config.json").is_file():
         imitated = parse_source(read_config(path).get("source"), str(path))
     return shipped_expert(loaded.env_id, imitated)
 
 
-def _load(policy: PolicyOrPath, env: Env | None) -> SavedPolicy:
+def _load(policy: PolicyOrPath) -> SavedPolicy:
     if isinstance(policy, SavedPolicy):
         return policy
-    path = policy_files(Path(policy))[0]
-    loaded = load_policy(path)
-    if env is None:
-        require_harmless(loaded.env_id, str(path))
-    return loaded
+    return load_policy(policy_files(Path(policy))[0])
 
 
 def require_suffix(path: Path) -> None:

@@ -16,7 +16,7 @@ from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 from ailsrs_jax.files import read_small
-from ailsrs_jax.own_code import is_here, is_own
+from ailsrs_jax.own_code import require_allowed
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
@@ -49,7 +49,8 @@ def read_spec(path: Path) -> dict[str, Any]:
     """Read a sweep file.
 
     Raises:
-        UserError: the file is not TOML, or names code that is not safe to import.
+        UserError: the file is not TOML, or names code that the user has not named; see
+            :func:`~ailsrs_jax.own_code.allow`.
     """
     try:
         spec = tomllib.loads(read_small(path).decode())
@@ -63,10 +64,10 @@ def read_spec(path: Path) -> dict[str, Any]:
         if isinstance(table, dict):
             for name in _leaves(table.get("env")):
                 if isinstance(name, str):
-                    require_harmless(name, str(path))
+                    require_harmless(name, str(path), "--own")
             for name in _leaves([table.get("algorithm"), table.get("settings")]):
-                if isinstance(name, str) and is_own(name) and not is_here(name):
-                    raise UserError(f"{path} names {name}: no such module is in this directory")
+                if isinstance(name, str):
+                    require_allowed(name, str(path), "--own")
     return spec
 
 

@@ -1,11 +1,12 @@
 """Train the cells of a sweep: which are trained together, and what is left to do."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from ailsrs_jax.errors import InUseError, UserError, one_line
+from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.loop import Result, execute
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
@@ -56,6 +57,7 @@ def sweep(
     launcher: str = "local",
     track: str | None = None,
     watch: SweepWatch | None = None,
+    own: Iterable[str] = (),
 ) -> list[TableRow]:
     """Train every cell of a grid that is not finished yet, and write the tables.
 
@@ -77,6 +79,8 @@ def sweep(
             train on a cluster.
         track: ``wandb`` or ``trackio``, to send the metrics there too; see docs/tracking.md.
         watch: an observer of the progress.
+        own: names of your own code that the file may name: environments, algorithms, rewards and
+            losses, each ``module:attribute``. Other code in a file is not imported.
 
     Returns:
         The rows of ``results.csv``, one for each cell. If the status is ``not run``, as for cells
@@ -85,6 +89,7 @@ def sweep(
     Raises:
         UserError: the spec is wrong, or the directory holds another sweep or cannot be written.
     """
+    allow(*own)
     grid = expand(spec if isinstance(spec, Mapping) else read_spec(Path(spec)))
     require_launcher(launcher)
     require_tracker(track)

@@ -19,6 +19,7 @@ def watch(event, arguments):
     if event == "import" and arguments[0] == {module!r}:
         {when}
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in background jobs
 sys.addaudithook(watch)
 sys.argv = ["ailsrs", "report", "nowhere"]
 runpy.run_module("ailsrs_jax", run_name="__main__")

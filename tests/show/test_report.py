@@ -15,6 +15,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.sources import Source
+from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.show import renderer as offscreen
 from ailsrs_jax.show.page import Media, Page, Tile
@@ -66,6 +67,7 @@ def write_run(directory: Path, **changes: Any) -> Path:
         },
     }
     (directory / "result.json").write_text(json.dumps(result))
+    allow(POINT_MASS)
     ones = np.ones(1)
     ail.SavedLinearPolicy(
         weights=EXPERT_WEIGHTS,

@@ -13,6 +13,7 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from tests.point_mass import PointMass, point_mass_demonstrations
+from tests.sweeps.toy_sweep import POINT_MASS
 
 SPEC = """
 episodes = 2
@@ -44,8 +45,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 @pytest.fixture
 def spec(in_tmp_path: Path) -> str:
     recorded = point_mass_demonstrations(PointMass())
-    env_id = "tests.point_mass:PointMass"
-    save_demonstrations(recorded.replace(env_id=env_id), "point_mass.npz")
+    save_demonstrations(recorded.replace(env_id=POINT_MASS), "point_mass.npz")
     Path("spec.toml").write_text(SPEC)
     return "spec.toml"
 
@@ -53,7 +53,7 @@ def spec(in_tmp_path: Path) -> str:
 def start(*arguments: str) -> subprocess.Popen[str]:
     path = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     return subprocess.Popen(
-        [sys.executable, "-m", "ailsrs_jax", "sweep", *arguments],
+        [sys.executable, "-m", "ailsrs_jax", "sweep", *arguments, "--own", POINT_MASS],
         env=os.environ | {"PYTHONPATH": path},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -11,6 +11,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs import training_data
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
@@ -160,15 +161,20 @@ def test_settings_are_typed(in_tmp_path: Path) -> None:
             expand(quick_grid(settings=wrong))
 
 
-def test_your_own_algorithm_is_in_the_current_directory(in_tmp_path: Path) -> None:
-    text = '[[grid]]\nenv = "tests.point_mass:PointMass"\nalgorithm = ["ars", "{}"]\n'
+def test_your_own_algorithm_is_named_twice(in_tmp_path: Path) -> None:
+    text = '[[grid]]\nenv = "{}"\nalgorithm = ["ars", "mine:algorithm"]\n'
     code = """
         import dataclasses
         import ailsrs_jax as ail
         algorithm = dataclasses.replace(ail.find_algorithm("ars"), title="Mine")
     """
     Path("mine.py").write_text(textwrap.dedent(code))
-    Path("mine.toml").write_text(text.format("mine:algorithm"))
+    names = ("tests.point_mass:PointMass", "mine:algorithm")
+    Path("mine.toml").write_text(text.format(names[0]))
+    for name in names:
+        with pytest.raises(ail.UserError, match=f"with --own {name}$"):
+            read_spec(Path("mine.toml"))
+        allow(name)
     theirs, mine = expand(read_spec(Path("mine.toml"))).cells
     assert (theirs.label, mine.label) == ("ARS", "Mine")
     assert mine.spec == dataclasses.replace(theirs.spec, algorithm="mine:algorithm")
@@ -176,14 +182,14 @@ def test_your_own_algorithm_is_in_the_current_directory(in_tmp_path: Path) -> No
     assert mine.make_plan().algorithm.title == "Mine"
     assert estimated_env_steps(mine) == estimated_env_steps(theirs) > 0
 
-    names = {
+    hostile = {
         "os:abort": 'algorithm = "os:abort"',
         "tests.elsewhere:algorithm": 'algorithm = ["ars", "tests.elsewhere:algorithm"]',
         "../mine:loss": '[grid.settings]\ndiscriminator_loss = ["../mine:loss"]',
     }
-    for name, line in names.items():
+    for name, line in hostile.items():
         Path("hostile.toml").write_text(f'[[grid]]\nenv = "hopper"\n{line}\n')
-        with pytest.raises(ail.UserError, match=f"hostile.toml names {name}: no such module is in"):
+        with pytest.raises(ail.UserError, match=f"hostile.toml names {name}, code that could"):
             read_spec(Path("hostile.toml"))
 
 

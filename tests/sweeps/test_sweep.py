@@ -175,7 +175,10 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
         [[grid]]
         """
     )
-    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run", "--output", "out") == 0
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", "--dry-run") == 2
+    assert f"repeat its name with --own {POINT_MASS}" in capsys.readouterr().err
+    options = ("--dry-run", "--output", "out", "--own", POINT_MASS)
+    assert ailsrs(monkeypatch, "sweep", "tiny.toml", *options) == 0
     # Two cells, three iterations, four directions with two signs, eight evaluation episodes.
     printed = capsys.readouterr().out
     assert f"2 cells in 1 programs, at most {2 * 3 * 16 * 20 / 1e6:.1f} M steps" in printed

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,8 @@ def load_minari(
     """Read a Minari dataset, which is downloaded first if it is not on this machine.
 
     An episode that ended neither in a terminal state nor at the environment's time limit was cut
-    off. It is left out, because its end is unknown.
+    off. It is left out, because its end is unknown. Without a time limit all episodes ended in a
+    terminal state; the demonstrations' is then twice the length of the longest in the dataset.
 
     Args:
         dataset_id: for example ``mujoco/hopper/expert-v0``.
@@ -45,9 +47,9 @@ def load_minari(
     """
     source = f"minari:{dataset_id}"
     time_limit, pairs = read_minari(dataset_id, env_id)
-    episodes, num_left_out = _collect(pairs, num_trajectories, source)
-    num_steps = time_limit or 2 * max(episode.length for episode in episodes)
-    return stack(episodes, num_steps, env_id, source), num_left_out
+    read = _collect(pairs, num_trajectories, source, to_the_end=time_limit is None)
+    num_steps = time_limit or 2 * read.longest
+    return stack(read.episodes, num_steps, env_id, source), read.num_left_out
 
 
 def save_minari(recording: Recording, dataset_id: str) -> None:
@@ -84,7 +86,7 @@ def load_imitation(
 
     The format names neither the environment nor its time limit. A trajectory that is not
     ``terminal`` is part of an episode and is left out. Every other one ended in a terminal state or
-    at the time limit, which is assumed to be the length of the longest.
+    at the time limit, which is assumed to be the length of the longest in the directory.
 
     Args:
         directory: as ``imitation.data.serialize.save`` writes it, with rewards.
@@ -99,9 +101,8 @@ def load_imitation(
             one another.
     """
     pairs = read_imitation(Path(directory))
-    episodes, num_left_out = _collect(pairs, num_trajectories, str(directory))
-    longest = max(episode.length for episode in episodes)
-    return stack(episodes, longest, env_id, str(directory)), num_left_out
+    read = _collect(pairs, num_trajectories, str(directory), to_the_end=True)
+    return stack(read.episodes, read.longest, env_id, str(directory)), read.num_left_out
 
 
 def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str) -> Demonstrations:
@@ -132,18 +133,34 @@ def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str)
     return validated(fields, source)
 
 
+class _Episodes(NamedTuple):
+    """Whole episodes of a source."""
+
+    episodes: list[Episode]  # the first ones
+    num_left_out: int  # cut-off ones among them
+    longest: int  # [steps] of all whole episodes that were read
+
+
 def _collect(
-    pairs: Iterable[tuple[Episode, bool]], num_trajectories: int | None, source: str
-) -> tuple[list[Episode], int]:
-    """Return the first whole episodes, and the number of cut-off ones among them."""
-    episodes, num_left_out = [], 0
+    pairs: Iterable[tuple[Episode, bool]],
+    num_trajectories: int | None,
+    source: str,
+    *,
+    to_the_end: bool,
+) -> _Episodes:
+    """Read the first whole episodes, and ``to_the_end`` the lengths of the others."""
+    episodes: list[Episode] = []
+    num_left_out = longest = 0
     for episode, is_whole in pairs:
+        is_needed = len(episodes) != num_trajectories
         if is_whole:
+            longest = max(longest, episode.length)
+        if is_whole and is_needed:
             episodes.append(episode)
-        else:
+        elif is_needed:
             num_left_out += 1
-        if len(episodes) == num_trajectories:
+        if len(episodes) == num_trajectories and not to_the_end:
             break
     if not episodes:
         raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
-    return episodes, num_left_out
+    return _Episodes(episodes, num_left_out, longest)

@@ -62,6 +62,16 @@ def test_whole_episodes_are_read(tmp_path: Path) -> None:
     assert num_left_out == 0
 
 
+def test_the_time_limit_does_not_depend_on_the_number_that_is_asked_for(tmp_path: Path) -> None:
+    """Otherwise the fall after 4 steps would count as reaching the time limit."""
+    rows = [trajectory(3), trajectory(4), trajectory(9, terminal=False), trajectory(7)]
+    directory = write(tmp_path / "d", *rows)
+    for number in (1, 2, 3):
+        demonstrations, num_left_out = load_imitation(directory, "Swimmer-v5", number)
+        assert demonstrations.observations.shape == (number, 7, 8)
+        assert num_left_out == (number == 3)
+
+
 def test_infos_are_never_decoded(tmp_path: Path) -> None:
     bomb = json.dumps({"py/reduce": [{"py/function": "os.abort"}, {"py/tuple": []}]})
     directory = write(tmp_path / "d", trajectory(infos=[bomb] * 4))

@@ -143,10 +143,13 @@ def test_cut_off_episodes_are_left_out() -> None:
 
 def test_an_absurd_time_limit_is_ignored() -> None:
     env = gymnasium.make("Hopper-v5", max_episode_steps=10**9)
-    write(episode(6, terminated=True), env=env)
-    loaded, _ = load_minari("hopper/test-v0", "Hopper-v5")
-    assert loaded.lengths.tolist() == [6]
-    assert loaded.observations.shape == (1, 12, 11)
+    episodes = (episode(5, terminated=True), episode(9), episode(6, terminated=True))
+    write(*episodes, env=env)
+    for number in (1, 2):  # the time limit is the same
+        loaded, num_left_out = load_minari("hopper/test-v0", "Hopper-v5", number)
+        assert loaded.lengths.tolist() == [5, 6][:number]
+        assert loaded.observations.shape == (number, 12, 11)
+        assert num_left_out == number - 1
 
 
 def with_nan() -> np.ndarray:

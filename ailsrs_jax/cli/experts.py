@@ -40,13 +40,15 @@ def demonstrate(
         num_trajectories: Episodes to roll out.
         expert: The expert's policy.npz; by default the shipped expert of the task. For gymnasium:ID
             it may be a function of an observation, such as a trained model's.
-        episode_length: Steps of an episode; by default the environment's time limit.
+        episode_length: Steps of an episode; by default those of the run that the expert is in, else
+            the environment's time limit.
         action_noise: Standard deviation of Gaussian noise on the actions, in their units.
     """
     from ailsrs_jax.data.policies import load_policy
     from ailsrs_jax.data.sources import require_target, save_recording
     from ailsrs_jax.envs.registry import resolve_env_id
     from ailsrs_jax.runs import demonstrate
+    from ailsrs_jax.runs.horizon import policy_horizon
     from ailsrs_jax.runs.policies import load_expert
 
     env_id = resolve_env_id(env)
@@ -57,6 +59,8 @@ def demonstrate(
         policy = load_policy(Path(expert))
         if policy.env_id != env_id:
             raise UserError(f"{expert} is an expert of {policy.env_id}, not of {env_id}")
+        if episode_length is None:
+            episode_length = policy_horizon(Path(expert))
     require_target(output, env_id)
     recording = demonstrate.record(
         policy,
@@ -123,6 +127,7 @@ def expert(
         )
     if terminal.quiet and not terminal.as_json:
         return
-    evaluation = evaluate(policy, physics=physics)
+    length = changes.get("episode_length", preset.episode_length)
+    evaluation = evaluate(policy, physics=physics, episode_length=length)
     terminal.line(f"return {evaluation} over 100 episodes, in {output}")
     terminal.json({"output": str(output), "env_id": policy.env_id} | evaluation_fields(evaluation))

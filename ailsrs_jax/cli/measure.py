@@ -25,6 +25,7 @@ def evaluate(
     physics: RealPhysicsName = "gymnasium",
     seed: Seed = 0,
     stochastic: Flag = False,
+    episode_length: Count = None,
     env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
@@ -36,19 +37,29 @@ def evaluate(
 
     Args:
         policy: A policy.npz or .safetensors, or the directory of a run or an export.
-        episodes: Episodes of each policy, up to the environment's time limit.
+        episodes: Episodes of each policy.
         stochastic: Sample the actions of a Gaussian policy instead of taking their mean.
+        episode_length: Steps of an episode; by default those of the run that the policy is in, else
+            the environment's time limit.
     """
     from ailsrs_jax.data.policies import load_policy, policy_files
     from ailsrs_jax.envs.registry import open_env
     from ailsrs_jax.runs import evaluation
+    from ailsrs_jax.runs.horizon import policy_horizon
 
     allow_env(env)
     rows: list[dict[str, Any]] = []
     table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
     for path in policy_files(policy):
         loaded = load_policy(path)
-        result = evaluation.evaluate(loaded, episodes, physics, seed, stochastic=stochastic)
+        result = evaluation.evaluate(
+            loaded,
+            episodes,
+            physics,
+            seed,
+            episode_length=policy_horizon(path) if episode_length is None else episode_length,
+            stochastic=stochastic,
+        )
         in_gymnasium = physics == "gymnasium"
         engine = physics if in_gymnasium else open_env(loaded.env_id, physics).engine
         row = {"policy": str(path), "env_id": loaded.env_id, "physics": engine}

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import (
+    Count,
     Flag,
     OptionalPath,
     OwnEnv,
@@ -100,6 +101,7 @@ def export(
     episodes: int = 100,
     physics: RealPhysicsName = "gymnasium",
     seed: Seed = 0,
+    episode_length: Count = None,
     license_id: Annotated[str, arg(name="license", metavar="ID")] = "unknown",
     env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
@@ -114,14 +116,22 @@ def export(
         policy: A policy.npz or .safetensors, or the directory of a run with one seed.
         output: A file that ends in .onnx, .safetensors or .npz; or a new directory for all three
             and a model card for the Hugging Face Hub.
-        episodes: Episodes for the return in the model card, of at most 1000 steps.
+        episodes: Episodes for the return in the model card.
+        episode_length: Steps of these; by default those of the run that the policy is in, else the
+            environment's time limit.
         license_id: The policy's license as the Hub writes it: apache-2.0, mit, cc-by-4.0 and so on.
     """
     from ailsrs_jax.show.export import export
 
     allow_env(env)
     evaluation = export(
-        policy, output, num_episodes=episodes, physics=physics, seed=seed, license_id=license_id
+        policy,
+        output,
+        num_episodes=episodes,
+        physics=physics,
+        seed=seed,
+        episode_length=episode_length,
+        license_id=license_id,
     )
     result = f", return {evaluation} over {episodes} episodes" if evaluation else ""
     terminal.line(f"{policy} is now in {output}{result}")

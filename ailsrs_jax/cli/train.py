@@ -170,15 +170,16 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.show.curves import plot_training_curve
 
+    length = result.config.settings.episode_length
     table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
     fields: list[dict[str, Any]] = []
     for seed, policy in result.policies.items():
         if terminal.quiet and not terminal.as_json:
             break
-        evaluation = evaluate(policy, physics=physics)
+        evaluation = evaluate(policy, physics=physics, episode_length=length)
         kept, returns, drawn = result.kept_iterations[seed], str(evaluation), None
         if policy.is_stochastic:
-            sampled = evaluate(policy, physics=physics, stochastic=True)
+            sampled = evaluate(policy, physics=physics, episode_length=length, stochastic=True)
             returns, drawn = f"{returns} (actions sampled: {sampled})", evaluation_fields(sampled)
         table.add_row(str(seed), str(kept), returns)
         file = str(output / f"seed_{seed}" / "policy.npz")
@@ -187,7 +188,9 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     expert = None
     if result.expert_returns is not None:
         expert = float(result.expert_returns.mean()), float(result.expert_returns.std())
-        table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}", style="dim")
+        other = result.demonstrated_length
+        note = f" in episodes of {other} steps, not {length}" if other != length else ""
+        table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}{note}", style="dim")
     terminal.console.print(table)
     plot_training_curve(output)
     terminal.line(f"policies, metrics and training curve are in {output}")
@@ -198,8 +201,10 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
             "env_id": config.env_id,
             "physics": config.physics,
             "algorithm": config.algorithm,
+            "episode_length": length,
             "seeds": fields,
             "expert_return_mean": expert and expert[0],
             "expert_return_std": expert and expert[1],
+            "expert_episode_length": result.demonstrated_length,
         }
     )

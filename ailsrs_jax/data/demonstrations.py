@@ -36,6 +36,11 @@ class Demonstrations(struct.PyTreeNode):
         return int(self.lengths.shape[0])
 
     @property
+    def time_limit(self) -> int:
+        """The time limit in environment steps; below it if entries at the end were left out."""
+        return int(self.observations.shape[1]) * self.stride
+
+    @property
     def alive(self) -> jax.Array | np.ndarray:
         """Whether each entry belongs to its episode, ``(E, T)`` bool."""
         return np.arange(self.observations.shape[1]) < self.lengths[:, None]

@@ -23,6 +23,7 @@ from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.host_calls import host_errors
+from ailsrs_jax.runs.horizon import EPISODE_LENGTH, env_horizon
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import installed_versions, require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
@@ -31,7 +32,6 @@ from ailsrs_jax.trainers.parts.rollout import simulate
 PythonPolicy = str | Callable[[np.ndarray], Any]
 
 NOISE_STREAM = 1  # of random numbers, distinct from those of a reset
-EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 
 
 def roll_out(
@@ -154,7 +154,7 @@ def record(
         require_harmless(policy.env_id, "the policy")
         env = policy.env_id
     task = open_env(env, physics)
-    length = episode_length or getattr(task.env, "time_limit", None) or EPISODE_LENGTH
+    length = episode_length or env_horizon(task.env)
     if num_trajectories * length >= 2**31:
         raise UserError(
             f"{num_trajectories} trajectories of {length} steps are too many: their steps "
@@ -190,7 +190,12 @@ def record(
 
 
 def expert_demonstrations(
-    env_id: str, num_trajectories: int, physics: str, *, of_paper: bool = False
+    env_id: str,
+    num_trajectories: int,
+    physics: str,
+    *,
+    of_paper: bool = False,
+    episode_length: int = EPISODE_LENGTH,
 ) -> Demonstrations:
     """Return demonstrations of the expert that ships with the package, from the cache if possible.
 
@@ -202,17 +207,22 @@ def expert_demonstrations(
         num_trajectories: how many episodes.
         physics: ``auto``, ``mjx`` or ``mujoco``.
         of_paper: use the expert that returns what the paper's does, where there are two.
+        episode_length: the time limit in environment steps.
     """
     path = expert_path(env_id, of_paper=of_paper)
     engine, _ = choose_engine(physics)
     backend = jax.default_backend()
     content = f"{num_trajectories} {engine} {backend} {installed_versions()}".encode()
+    if episode_length != EPISODE_LENGTH:
+        content += f" {episode_length}".encode()
     name = f"{env_id}-{hashlib.sha256(content + path.read_bytes()).hexdigest()[:16]}.npz"
     cached = cache_directory() / "demonstrations" / name
     try:
         return load_demonstrations(cached)
     except UserError:
-        demonstrations = demonstrate(load_policy(path), num_trajectories, physics=engine)
+        demonstrations = demonstrate(
+            load_policy(path), num_trajectories, physics=engine, episode_length=episode_length
+        )
     with contextlib.suppress(UserError):
         save_demonstrations(demonstrations, cached)
     return demonstrations

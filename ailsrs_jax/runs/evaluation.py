@@ -20,7 +20,8 @@ from ailsrs_jax.envs.registry import (
 )
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
+from ailsrs_jax.runs.demonstrate import roll_out
+from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.rollout import simulate
 
@@ -102,7 +103,7 @@ def evaluate(
     if env is None:
         require_harmless(policy.env_id, "the policy")
     task = _open(policy.env_id if env is None else env, physics)
-    length = episode_length or _time_limit(task)
+    length = episode_length or env_horizon(task)
     noise_std = policy.noise_std if stochastic else None
     # These initial states differ from those of demonstrations with the same seed.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
@@ -121,7 +122,7 @@ def evaluate_random(
 ) -> Evaluation:
     """Measure the return of uniformly random actions; see :func:`evaluate`."""
     env = _open(env_id, physics)
-    length = episode_length or _time_limit(env)
+    length = episode_length or env_horizon(env)
     n, p = env_sizes(env)
     low, high = action_range(env)
     still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
@@ -150,10 +151,6 @@ def _open(env: Env | str, physics: str) -> Env:
             )
         env = PREFIX + env_id
     return open_env(env).env
-
-
-def _time_limit(env: Env) -> int:
-    return getattr(env, "time_limit", None) or EPISODE_LENGTH
 
 
 def _seeds(env: Env, seed: int, num_episodes: int) -> jax.Array | None:

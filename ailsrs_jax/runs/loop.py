@@ -25,7 +25,7 @@ from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.journal import Journal
-from ailsrs_jax.runs.storage.metrics import IterationReport, read_metrics, require_most_finite
+from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
 from ailsrs_jax.runs.storage.policies import kept_policies
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
 from ailsrs_jax.runs.storage.trackers import require_tracker
@@ -44,6 +44,7 @@ class Result:
     policies: dict[int, SavedPolicy]  #: the kept policy of each seed
     kept_iterations: dict[int, int]  #: the iteration that each was found in
     expert_returns: np.ndarray | None  #: of the demonstrations, if there are any
+    demonstrated_length: int | None = None  #: the time limit of these [environment steps]
 
 
 class _Run:
@@ -71,7 +72,7 @@ class _Run:
         num_done, steps = self._num_done(progress), self._part(progress)["steps"]
         self._journal = Journal(self._output, self._plan.config, num_done, steps, track)
         if num_done > 0:
-            self.problem = _earlier_divergence(self._output / "metrics.csv")
+            self.problem = earlier_divergence(self._output / "metrics.csv")
             self.save(progress)
         return self._journal
 
@@ -102,6 +103,7 @@ class _Run:
                 self._part(progress),
                 command=self._plan.spec.command,
                 expert_returns=self._returns,
+                demonstrated_length=self._plan.demonstrated_length,
                 finished=self.problem is None and self.is_finished(progress),
             )
 
@@ -118,6 +120,7 @@ class _Run:
             policies=kept_policies(part["state"], config),
             kept_iterations=dict(zip(config.seeds, kept, strict=True)),
             expert_returns=self._returns,
+            demonstrated_length=self._plan.demonstrated_length,
         )
 
     def _num_done(self, progress: Progress) -> int:
@@ -141,21 +144,6 @@ class _Run:
             seconds=report.seconds / count,
             compile_seconds=report.compile_seconds and report.compile_seconds / count,
         )
-
-
-def _earlier_divergence(path: Path) -> UserError | None:
-    """Return the error of an iteration before this process resumed a stack."""
-    metrics = read_metrics(path)
-    iterations = metrics["iteration"].astype(int)
-    episodes, diverged = (
-        np.bincount(iterations, metrics[name]) for name in ("episodes", "diverged")
-    )
-    for iteration in np.flatnonzero(diverged):
-        try:
-            require_most_finite(int(iteration), int(episodes[iteration]), int(diverged[iteration]))
-        except UserError as error:
-            return error
-    return None
 
 
 def execute(

@@ -30,6 +30,7 @@ class Plan:
     simulator: Simulator
     demonstrations: Demonstrations | None
     physics_reason: str  # why this engine, for people to read
+    demonstrated_length: int | None  # the time limit of the demonstrations, in environment steps
 
     @property
     def algorithm(self) -> Algorithm:
@@ -62,9 +63,7 @@ def plan(spec: RunSpec) -> Plan:
             f"rollout_batch_size is for random search: {spec.algorithm} does not take it"
         )
     preset = preset_settings(env_id, spec.preset, spec.algorithm)
-    limit = getattr(env, "time_limit", None)
-    settings = override(preset, {"episode_length": limit} if limit else {})
-    settings = override(settings, spec.settings)
+    settings = override(preset, spec.settings)
     data = TrainingData()
     if algorithm.imitates:
         data = read_training_data(spec, env, env_id, engine)
@@ -73,6 +72,9 @@ def plan(spec: RunSpec) -> Plan:
             f"{spec.algorithm} learns from the environment's reward: leave out demonstrations, "
             "num_trajectories and subsample"
         )
+    limit = data.time_limit or getattr(env, "time_limit", None) or preset.episode_length
+    if "episode_length" not in spec.settings:
+        settings = override(settings, {"episode_length": limit})
     config = RunConfig(
         env_id=env_id,
         physics=engine,
@@ -89,11 +91,12 @@ def plan(spec: RunSpec) -> Plan:
     if algorithm.shares_devices:
         simulator = choose_simulator(env, batch_size)
     return Plan(
-        spec=_resolved(spec, config),
+        spec=_resolved(spec, config, limit),
         config=config,
         simulator=simulator,
         demonstrations=data.demonstrations,
         physics_reason=reason,
+        demonstrated_length=data.time_limit,
     )
 
 
@@ -106,7 +109,7 @@ def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:
     return seeds
 
 
-def _resolved(spec: RunSpec, config: RunConfig) -> RunSpec:
+def _resolved(spec: RunSpec, config: RunConfig, default_length: int) -> RunSpec:
     """Replace what depends on this machine, and drop settings that are the preset's anyway."""
     env, physics, env_id = spec.env, spec.physics, config.env_id
     if isinstance(env, str):
@@ -116,11 +119,16 @@ def _resolved(spec: RunSpec, config: RunConfig) -> RunSpec:
     demonstrations = spec.demonstrations
     if config.source is not None and config.source.kind != "memory":
         demonstrations = config.source.argument
+    values = vars(config.settings)
+    settings = changed_settings(env_id, spec.preset, spec.algorithm, values)
+    settings.pop("episode_length", None)  # its default is not the preset's
+    if values["episode_length"] != default_length:
+        settings = dict(sorted({**settings, "episode_length": values["episode_length"]}.items()))
     return dataclasses.replace(
         spec,
         env=env,
         demonstrations=demonstrations,
         seeds=config.seeds,
-        settings=changed_settings(env_id, spec.preset, spec.algorithm, vars(config.settings)),
+        settings=settings,
         physics=physics,
     )

@@ -23,6 +23,7 @@ class TrainingData(NamedTuple):
     sha256: str | None = None  # of the arrays
     num_trajectories: int | None = None
     subsample: int | None = None
+    time_limit: int | None = None  # of all demonstrations of the source, in environment steps
 
 
 def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> TrainingData:
@@ -48,6 +49,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
     if number is not None:
         demonstrations = demonstrations.first(number)
     require_fit(demonstrations, env_id, env)
+    time_limit = demonstrations.time_limit
     if spec.subsample != 1:
         demonstrations = demonstrations.subsample(spec.subsample)
     return TrainingData(
@@ -56,6 +58,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         content_hash(demonstrations),
         demonstrations.num_trajectories,
         spec.subsample,
+        time_limit,
     )
 
 

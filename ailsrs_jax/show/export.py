@@ -11,6 +11,7 @@ from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
+from ailsrs_jax.runs.horizon import policy_horizon
 from ailsrs_jax.show.model_card import find_origin, model_card, require_license
 
 CARD = "README.md"  # the name under which the Hugging Face Hub looks for a model card
@@ -23,6 +24,7 @@ def export(
     num_episodes: int = 100,
     physics: str = "gymnasium",
     seed: int = 0,
+    episode_length: int | None = None,
     env: Env | None = None,
     license_id: str = "unknown",
 ) -> Evaluation | None:
@@ -44,6 +46,8 @@ def export(
         physics: the physics of these episodes, as in
             :func:`~ailsrs_jax.runs.evaluation.evaluate`.
         seed: the seed of their initial states.
+        episode_length: their time limit in environment steps; by default that of the run, if
+            ``source`` is in one, else the environment's.
         env: the environment, as in :func:`~ailsrs_jax.runs.evaluation.evaluate`.
         license_id: the policy's licence as the Hugging Face Hub names it, such as ``apache-2.0``.
 
@@ -70,7 +74,11 @@ def export(
         require_format(file)
     if importlib.util.find_spec("huggingface_hub") is None:
         raise UserError("a model card needs pip install 'ailsrs_jax[export]'")
-    evaluation = evaluate(source, num_episodes, physics, seed, env=env)
+    if episode_length is None and path is not None:
+        episode_length = policy_horizon(path)
+    evaluation = evaluate(
+        source, num_episodes, physics, seed, env=env, episode_length=episode_length
+    )
     if evaluation.num_diverged == num_episodes:
         raise UserError("every episode diverged: there is no return for the model card")
     where = "in Gymnasium"
@@ -78,7 +86,8 @@ def export(
         where = "in an environment handed in"
     elif physics != "gymnasium":
         where = f"with physics {open_env(source.env_id, physics).engine}"
-    card = model_card(source, evaluation, f"{where}, seed {seed}", origin, license_id)
+    limit = f", at most {episode_length} steps" if episode_length is not None else ""
+    card = model_card(source, evaluation, f"{where}{limit}, seed {seed}", origin, license_id)
     for file in files:
         source.save(file)
     write_atomically(output / CARD, card)

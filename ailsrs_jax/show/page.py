@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.renderer import require_renderer
 from ailsrs_jax.show.replay import replay
@@ -82,15 +83,22 @@ def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
 
 
 def play(
-    title: str, policies: dict[str, SavedPolicy], expert: SavedPolicy | None, caption: str
+    title: str,
+    policies: dict[str, SavedPolicy],
+    expert: SavedPolicy | None,
+    caption: str,
+    run: SavedRun,
 ) -> Media:
-    """Render an episode of each policy and of the expert from the same initial state."""
+    """Render an episode of each policy and of the expert, as long as those of ``run``."""
     if expert is not None:
         policies = {"expert": expert} | policies
         caption += ", beside the shipped expert from the same initial state"
     try:
         require_renderer()
-        replays = [replay(policy, seconds=SECONDS) for policy in policies.values()]
+        length = saved_horizon(run.config, run.directory)
+        replays = [
+            replay(policy, seconds=SECONDS, episode_length=length) for policy in policies.values()
+        ]
         uri = Animation(replays, list(policies), SIZES[len(policies)]).data_uri
     except UserError as error:
         return Media(title, None, f"{error}.")

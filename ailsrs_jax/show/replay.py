@@ -19,8 +19,9 @@ from ailsrs_jax.envs.interface import env_name, env_sizes
 from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError, refusing
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, roll_out
+from ailsrs_jax.runs.demonstrate import roll_out
 from ailsrs_jax.runs.evaluation import EVALUATION_STREAM
+from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.workers.episode import begin, make
@@ -28,7 +29,7 @@ from ailsrs_jax.workers.episode import begin, make
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replay:
-    """An episode of at most ``EPISODE_LENGTH`` steps, T of them live."""
+    """An episode of T live steps."""
 
     model: mujoco.MjModel
     positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], from the initial pose on
@@ -79,7 +80,7 @@ class Film:
             env.close()
 
 
-def film(policy: SavedPolicy, env: GymnasiumEnv, seed: int, seconds: float) -> Film:
+def film(policy: SavedPolicy, env: GymnasiumEnv, seed: int, seconds: float, limit: int) -> Film:
     """Run one episode of ``policy``, the first that ``evaluate`` runs with this seed.
 
     Raises:
@@ -90,7 +91,6 @@ def film(policy: SavedPolicy, env: GymnasiumEnv, seed: int, seconds: float) -> F
         spec = gymnasium.make(name)
         per_second = spec.metadata.get("render_fps") or 30
         spec.close()
-    limit = env.time_limit or EPISODE_LENGTH
     num_steps = int(np.clip(np.ceil(seconds * per_second), 1, limit))
     starts = jnp.array([seed])
     episodes = roll_out(policy, env, 1, jax.random.key(seed), num_steps, starts=starts)
@@ -114,6 +114,7 @@ def replay(
     physics: str = "auto",
     seed: int = 0,
     seconds: float = np.inf,
+    episode_length: int | None = None,
 ) -> Replay | Film:
     """Roll out one episode: the first that ``evaluate`` simulates on the same engine.
 
@@ -123,6 +124,7 @@ def replay(
         physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by its name.
         seed: seed of the initial state.
         seconds: simulated time after which the episode is cut off.
+        episode_length: its time limit in environment steps; by default the environment's own.
 
     Raises:
         UserError: the task is unknown or not simulated by MuJoCo, the policy does not fit it, or
@@ -134,13 +136,14 @@ def replay(
     if env is None:
         require_harmless(policy.env_id, "the policy")
     task = open_env(policy.env_id if env is None else env, physics)
+    limit = episode_length or env_horizon(task.env)
     if isinstance(task.env, GymnasiumEnv):
-        return film(policy, task.env, seed, seconds)
+        return film(policy, task.env, seed, seconds, limit)
     model, _ = mujoco_view(task.env)
     n, p = env_sizes(task.env)
     policy.require_shape(p, n)
     dt = float(task.env.dt)
-    num_steps = int(np.clip(np.ceil(seconds / dt - 1e-6), 1, EPISODE_LENGTH))
+    num_steps = int(np.clip(np.ceil(seconds / dt - 1e-6), 1, limit))
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
     episode = _compiled_episode(task.env, num_steps)(jax_policy(policy), jax.random.fold_in(key, 0))
     first, (positions, env_rewards, done) = jax.tree.map(np.asarray, episode)

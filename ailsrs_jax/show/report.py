@@ -10,6 +10,7 @@ from ailsrs_jax.envs.registry import TASKS, is_gymnasium
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.evaluation import Evaluation, evaluate
+from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.curves import by_seed, draw_curves
 from ailsrs_jax.show.page import SCORES, Media, Page, Tile, embedded, millions, play, policies_of
@@ -123,7 +124,11 @@ def _evaluate(
     env_id = run.config["env_id"]
     physics = "gymnasium" if env_id in TASKS or is_gymnasium(env_id) else "auto"
     try:
-        return {seed: evaluate(p, episodes, physics) for seed, p in policies.items()}, ""
+        length = saved_horizon(run.config, run.directory)
+        return {
+            seed: evaluate(policy, episodes, physics, episode_length=length)
+            for seed, policy in policies.items()
+        }, ""
     except UserError as error:
         return {}, f"Not measured: {error}."
 
@@ -136,8 +141,11 @@ def _tiles(run: SavedRun, evaluations: Mapping[int, Evaluation]) -> list[Tile]:
         over = f"mean ± std over {len(returns)} seeds" if len(returns) > 1 else "of one seed"
         tiles.append(Tile("return", plus_minus(returns), over))
     if expert is not None:
-        tiles.append(Tile("expert", f"{expert:.0f}", "return of the demonstrations"))
-        if len(returns) and expert > 0:
+        mine, length = run.config["settings"].get("episode_length"), run.demonstrated_length
+        comparable = length is None or length == mine
+        note = "" if comparable else f", in episodes of {length} steps, not {mine}"
+        tiles.append(Tile("expert", f"{expert:.0f}", f"return of the demonstrations{note}"))
+        if len(returns) and expert > 0 and comparable:
             tiles.append(Tile("of the expert's", f"{returns.mean() / expert:.0%}", "return"))
     steps, iterations = (run.metrics[name].max() for name in ("env_steps", "iteration"))
     planned = run.config["settings"].get("num_iterations", "–")
@@ -172,4 +180,5 @@ def _video(run: SavedRun, policies: Mapping[int, SavedPolicy]) -> Media:
         return Media(title, None, "No policy is saved yet.")
     seed, policy = next(iter(policies.items()))
     expert = shipped_expert(run.config["env_id"], run.source)
-    return play(title, {"policy": policy}, expert, f"The policy of seed {seed}, in real time")
+    caption = f"The policy of seed {seed}, in real time"
+    return play(title, {"policy": policy}, expert, caption, run)

@@ -84,7 +84,7 @@ def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
         if policies:
             expert = shipped_expert(task, *(run.source for run in shown.values()))
             caption = "The first seed of each, with the most demonstrations, in real time"
-            videos.append(play(task, policies, expert, caption))
+            videos.append(play(task, policies, expert, caption, next(iter(shown.values()))))
     return videos
 
 

@@ -17,6 +17,7 @@ from ailsrs_jax.data.sources import Source, parse_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
+from ailsrs_jax.runs.horizon import policy_horizon
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.show.renderer import pictures, require_renderer
 from ailsrs_jax.show.replay import Film, Replay, replay
@@ -166,8 +167,9 @@ def render(
             )
     if output is None or output.suffix == ".mp4":
         require_renderer()
+    length = None if isinstance(policy, SavedPolicy) else policy_horizon(_file(policy))
     replays = [
-        replay(each, env=env, physics=physics, seed=seed, seconds=seconds)
+        replay(each, env=env, physics=physics, seed=seed, seconds=seconds, episode_length=length)
         for each in shown.values()
     ]
     animation = Animation(replays, list(shown), size)
@@ -199,7 +201,11 @@ def _find_expert(
 def _load(policy: PolicyOrPath) -> SavedPolicy:
     if isinstance(policy, SavedPolicy):
         return policy
-    return load_policy(policy_files(Path(policy))[0])
+    return load_policy(_file(policy))
+
+
+def _file(policy: str | Path) -> Path:
+    return policy_files(Path(policy))[0]
 
 
 def require_suffix(path: Path) -> None:

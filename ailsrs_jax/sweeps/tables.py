@@ -18,7 +18,7 @@ from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically, write_json
-from ailsrs_jax.runs.demonstrate import EPISODE_LENGTH, expert_demonstrations
+from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
@@ -35,26 +35,25 @@ TableRow = Mapping[str, Any]  # values by column; None and missing ones become e
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:
     """Evaluate the policy that a cell has kept, and make its row of ``results.csv``.
 
-    Gymnasium's tasks have their own time limit. Columns that compare training with the expert are
-    empty if training had another limit.
+    All episodes have the run's horizon. Columns that compare with the expert are empty if its
+    demonstrations have another time limit.
 
     Raises:
         UserError: the policy's returns are not finite, or the metrics cannot be read.
     """
     config = result.config
     length = config.settings.episode_length
-    if config.env_id in TASKS:
-        physics, limit = "gymnasium", EPISODE_LENGTH
-    else:
-        physics, limit = cell.spec.physics, length
-    evaluation = evaluate(result.policies[cell.seed], episodes, physics, episode_length=limit)
+    physics = "gymnasium" if config.env_id in TASKS else cell.spec.physics
+    evaluation = evaluate(result.policies[cell.seed], episodes, physics, episode_length=length)
     if not np.isfinite(evaluation.returns).all():
         raise UserError("the kept policy's returns are not all finite")
     if result.expert_returns is None:
-        expert = shipped_expert_return(config.env_id, config.physics)
+        expert = shipped_expert_return(config.env_id, config.physics, length)
+        comparable = True
     else:
         expert = float(np.mean(result.expert_returns))
-    random = random_return(config.env_id, physics, limit)
+        comparable = result.demonstrated_length == length
+    random = random_return(config.env_id, physics, length)
     row = cell_columns(cell) | {
         "kept_iteration": result.kept_iterations[cell.seed],
         "return_mean": evaluation.mean,
@@ -65,10 +64,10 @@ def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> 
         "normalized": None,
         "status": DONE,
     }
-    if expert is not None and expert != random:
+    if comparable and expert is not None and expert != random:
         row["normalized"] = (evaluation.mean - random) / (expert - random)
     metrics = read_metrics(directory / "metrics.csv")
-    return row | _over_training(metrics, expert, comparable=length == limit)
+    return row | _over_training(metrics, expert, comparable=comparable)
 
 
 def _over_training(
@@ -211,10 +210,13 @@ def random_return(env_id: str, physics: str, episode_length: int) -> float:
 
 
 @functools.cache
-def shipped_expert_return(env_id: str, engine: str) -> float | None:
+def shipped_expert_return(env_id: str, engine: str, episode_length: int) -> float | None:
     """Compute the mean return of the shipped expert's demonstrations; None without an expert."""
     try:
-        return float(expert_demonstrations(env_id, NUM_TRAJECTORIES, engine).returns.mean())
+        recorded = expert_demonstrations(
+            env_id, NUM_TRAJECTORIES, engine, episode_length=episode_length
+        )
+        return float(recorded.returns.mean())
     except UserError:
         return None
 

@@ -36,7 +36,7 @@ def test_ctrl_c_while_modules_are_imported(module: str, when: str) -> None:
 
 
 def test_what_ctrl_c_does_changes_only_for_a_while_and_not_under_nohup() -> None:
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
     try:
         end_on_ctrl_c()
         ending = signal.getsignal(signal.SIGINT)

@@ -64,7 +64,7 @@ def test_what_a_sweep_says(demonstrations: str) -> None:
         assert (row["status"], row["label"], row["physics"]) == ("done", "BC", "none")
 
 
-def test_episodes_of_another_length_than_gymnasiums_are_not_compared(
+def test_episodes_of_another_length_than_the_experts_are_not_compared(
     in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "random_return", lambda *_: -1.0)  # which takes seconds
@@ -78,14 +78,15 @@ def test_episodes_of_another_length_than_gymnasiums_are_not_compared(
         content = "iteration,seed,env_steps,evaluation_return\n0,0,100,2.0\n1,0,400,1000.0\n"
         (directory / "metrics.csv").write_text(content)
         config = cell.make_plan().config
-        result = Result(config, {0: saved_policy(policy, "Swimmer-v5")}, {0: 1}, np.ones(3))
+        result = Result(config, {0: saved_policy(policy, "Swimmer-v5")}, {0: 1}, np.ones(3), 1000)
         save_row(directory, finished_row(cell, result, directory, episodes=1), None)
     short, _, whole, not_run = write_tables(Path("sweep"), grid.cells)
     measured = ("last_return", "mean_return_over_training", "steps_to_90")
     assert [short[name] for name in measured] == [None] * 3
     assert [whole[name] for name in measured] == [1000, 750.5, 100]
-    assert short["length_mean"] == whole["length_mean"] == 1000
-    assert short["normalized"] == (short["return_mean"] + 1) / 2
+    assert (short["length_mean"], whole["length_mean"]) == (100, 1000)
+    assert short["normalized"] is None
+    assert whole["normalized"] == (whole["return_mean"] + 1) / 2
     assert (not_run["status"], whole["status"]) == ("not run", "done")
 
     ail.report_sweep("sweep")

@@ -78,6 +78,7 @@ class Journal:
         *,
         command: str | None,
         expert_returns: np.ndarray | None,
+        demonstrated_length: int | None,
         finished: bool,
     ) -> None:
         """Write the kept policies and ``result.json``.
@@ -86,6 +87,7 @@ class Journal:
             progress: ``state``, the training state, and ``steps``, the live steps of each seed.
             command: the command line that makes the run again, if there is one.
             expert_returns: of the demonstrations, if the run has any.
+            demonstrated_length: their time limit in environment steps.
             finished: no iteration is left.
 
         Raises:
@@ -100,7 +102,11 @@ class Journal:
         )
         expert = None
         if expert_returns is not None:
-            expert = {"mean": float(expert_returns.mean()), "std": float(expert_returns.std())}
+            expert = {
+                "mean": float(expert_returns.mean()),
+                "std": float(expert_returns.std()),
+                "episode_length": demonstrated_length,
+            }
         result = {
             "command": command,
             "finished": finished,

@@ -130,6 +130,21 @@ def read_metrics(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(header, table.T, strict=True))
 
 
+def earlier_divergence(path: Path) -> UserError | None:
+    """Return the error of an iteration before this process resumed a stack."""
+    metrics = read_metrics(path)
+    iterations = metrics["iteration"].astype(int)
+    episodes, diverged = (
+        np.bincount(iterations, metrics[name]) for name in ("episodes", "diverged")
+    )
+    for iteration in np.flatnonzero(diverged):
+        try:
+            require_most_finite(int(iteration), int(episodes[iteration]), int(diverged[iteration]))
+        except UserError as error:
+            return error
+    return None
+
+
 def _as_csv(rows: Sequence[Sequence[str]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)

@@ -48,6 +48,7 @@ class SavedRun:
     source: Source | None  # of the demonstrations, if there are any
     command: str | None  # makes the run again; None if objects were handed in from Python
     expert_return: float | None  # mean over the demonstrations
+    demonstrated_length: int | None  # their time limit in environment steps, if it is recorded
     kept_iterations: Mapping[int, int]  # by seed, without those that have kept no policy yet
 
     @property
@@ -105,10 +106,13 @@ def read_run(directory: Path) -> SavedRun:
         command, expert = result["command"], result["expert_return"]
         kept = {int(seed): each["kept_iteration"] for seed, each in result["seeds"].items()}
         mean = None if expert is None else expert["mean"]
+        length = None if expert is None else expert.get("episode_length")
         if not set(kept) <= set(config["seeds"]) or not all(map(_is_count, kept.values())):
             raise ValueError("seeds")
         if not (mean is None or (isinstance(mean, int | float) and math.isfinite(mean))):
             raise ValueError("expert_return")
+        if not (length is None or (_is_count(length) and length >= 1)):
+            raise ValueError("episode_length")
         # A page shows it for people to copy, so it must not hide a second command.
         if command is not None and (
             not command.startswith("ailsrs train ") or shlex.join(shlex.split(command)) != command
@@ -116,7 +120,7 @@ def read_run(directory: Path) -> SavedRun:
             raise ValueError("command")
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise UserError(f"{path} is not the result of a run: {one_line(error)}") from error
-    return SavedRun(directory, config, metrics, source, command, mean, kept)
+    return SavedRun(directory, config, metrics, source, command, mean, length, kept)
 
 
 def _require_config(config: Mapping[str, Any], path: Path) -> None:

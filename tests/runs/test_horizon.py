@@ -1,0 +1,108 @@
+"""The number of steps of an episode is the same wherever a run is measured or shown."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import ailsrs_jax as ail
+from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
+from ailsrs_jax.runs.horizon import LONGEST
+from ailsrs_jax.runs.plan import plan
+from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.show import report
+from ailsrs_jax.show.replay import replay
+from tests.cli.test_cli import ailsrs
+from tests.point_mass import EPISODE_LENGTH, PointMass
+
+
+def swimmer_demonstrations(time_limit: int) -> Demonstrations:
+    expert = ail.load_expert("swimmer")
+    return ail.demonstrate(expert, 2, physics="mujoco", episode_length=time_limit)
+
+
+def test_the_demonstrations_say_how_long_episodes_are(point_mass_expert: Demonstrations) -> None:
+    spec = RunSpec(PointMass(), point_mass_expert, num_trajectories=2)
+    assert plan(spec).config.settings.episode_length == EPISODE_LENGTH
+    spec = RunSpec(PointMass(), point_mass_expert, subsample=7)
+    assert plan(spec).config.settings.episode_length == EPISODE_LENGTH
+    spec = RunSpec(PointMass(), point_mass_expert, settings={"episode_length": 30})
+    made = plan(spec)
+    assert (made.config.settings.episode_length, made.demonstrated_length) == (30, 60)
+    assert plan(RunSpec(PointMass(), algorithm="ars")).config.settings.episode_length == 1000
+
+
+def test_the_command_makes_the_same_run_again(in_tmp_path: Path) -> None:
+    """Also if the setting is the preset's, 1000, and the demonstrations have another."""
+    save_demonstrations(swimmer_demonstrations(30), "short.npz")
+    short = plan(RunSpec("swimmer", "short.npz", physics="mujoco"))
+    assert short.config.settings.episode_length == 30
+    assert "episode_length" not in str(short.spec.command)
+    spec = RunSpec("swimmer", "short.npz", physics="mujoco", settings={"episode_length": 1000})
+    assert "--set episode_length=1000" in str(plan(spec).spec.command)
+
+
+@pytest.mark.parametrize("time_limit", [30, 1500])
+def test_everything_measures_with_the_horizon_of_the_run(
+    time_limit: int, in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    recorded = swimmer_demonstrations(time_limit)
+    save_demonstrations(recorded, "swimmer.npz")
+    settings = ("--set", "gradient_steps=1", "num_evaluation_episodes=1")
+    train = ("train", "swimmer", "--demonstrations", "swimmer.npz", "--algorithm", "bc")
+    options = ("--iterations", "1", *settings, "--physics", "mujoco", "--output", "run", "--json")
+    assert ailsrs(monkeypatch, *train, *options) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["seeds"][0]["length_mean"] == time_limit
+    assert table["episode_length"] == table["expert_episode_length"] == time_limit
+
+    def lengths(*words: str) -> list[float]:
+        assert ailsrs(monkeypatch, *words, "--json") == 0
+        result = json.loads(capsys.readouterr().out)
+        return [row["length_mean"] for row in result.get("policies", [result])]
+
+    assert lengths("evaluate", "run", "--episodes", "2") == [time_limit]
+    assert lengths("evaluate", "run", "--episodes", "2", "--episode-length", "7") == [7]
+    demonstrate = ("demonstrate", "swimmer", "--expert", "run/seed_0/policy.npz")
+    assert lengths(*demonstrate, "--num-trajectories", "1", "--output", "d.npz") == [time_limit]
+    evaluation = ail.export("run", "out", num_episodes=1)
+    assert evaluation is not None
+    assert evaluation.lengths.tolist() == [time_limit]
+    assert f"at most {time_limit} steps" in Path("out/README.md").read_text()
+    page = report.run_page(report.read_run(Path("run")), episodes=1, video=False)
+    assert page.tables[0].rows[0][2] == str(time_limit)
+    assert [tile.label for tile in page.tiles][:3] == ["return", "expert", "of the expert's"]
+    policy = ail.load_policy("run/seed_0/policy.npz")
+    assert replay(policy, physics="mujoco", episode_length=time_limit).num_steps == time_limit
+    animation = ail.render("run", "video.html", physics="mujoco", seconds=1e6)
+    assert [each.num_steps for each in animation.replays] == [time_limit] * 2
+
+
+def test_returns_of_other_horizons_are_not_compared(
+    in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    save_demonstrations(swimmer_demonstrations(30), "swimmer.npz")
+    settings = ("--set", "gradient_steps=1", "num_evaluation_episodes=1", "episode_length=20")
+    train = ("train", "swimmer", "--demonstrations", "swimmer.npz", "--algorithm", "bc")
+    options = ("--iterations", "1", *settings, "--physics", "mujoco", "--output", "run")
+    assert ailsrs(monkeypatch, *train, *options) == 0
+    assert "in episodes of 30 steps, not 20" in " ".join(capsys.readouterr().out.split())
+    page = report.run_page(report.read_run(Path("run")), episodes=1, video=False)
+    assert [tile.label for tile in page.tiles][:2] == ["return", "expert"]
+    assert "of the expert's" not in [tile.label for tile in page.tiles]
+    assert page.tiles[1].note.endswith("in episodes of 30 steps, not 20")
+
+
+@pytest.mark.parametrize("length", [LONGEST + 1, 2 * 10**9, 0, -1, 1.5, True, "long"])
+def test_a_horizon_in_a_file_has_bounds(length: object, in_tmp_path: Path) -> None:
+    Path("run/seed_0").mkdir(parents=True)
+    ail.load_expert("swimmer").save("run/seed_0/policy.npz")
+    config = {"env_id": "Swimmer-v5", "settings": {"episode_length": length}}
+    Path("run/config.json").write_text(json.dumps(config))
+    with pytest.raises(ail.UserError, match=r"episode_length is .*, not from 1 to 10000"):
+        ail.render("run", "video.html")
+
+
+def test_the_limit_of_the_environment(in_tmp_path: Path) -> None:
+    made = plan(RunSpec("gymnasium:Pendulum-v1", algorithm="ars", workers=1))
+    assert made.config.settings.episode_length == 200

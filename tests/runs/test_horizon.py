@@ -12,7 +12,7 @@ from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.show import report
 from ailsrs_jax.show.replay import replay
-from tests.cli.test_cli import ailsrs
+from tests.cli.test_cli import ailsrs, few_episodes  # noqa: F401
 from tests.point_mass import EPISODE_LENGTH, PointMass
 
 
@@ -42,7 +42,8 @@ def test_the_command_makes_the_same_run_again(in_tmp_path: Path) -> None:
     assert "--set episode_length=1000" in str(plan(spec).spec.command)
 
 
-@pytest.mark.parametrize("time_limit", [30, 1500])
+@pytest.mark.usefixtures("few_episodes")
+@pytest.mark.parametrize("time_limit", [30, pytest.param(1500, marks=pytest.mark.slow)])
 def test_everything_measures_with_the_horizon_of_the_run(
     time_limit: int, in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
@@ -78,6 +79,7 @@ def test_everything_measures_with_the_horizon_of_the_run(
     assert [each.num_steps for each in animation.replays] == [time_limit] * 2
 
 
+@pytest.mark.usefixtures("few_episodes")
 def test_returns_of_other_horizons_are_not_compared(
     in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:

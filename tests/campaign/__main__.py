@@ -1,0 +1,114 @@
+"""Random faults for hours: kills, damaged files, odd commands, full disks, diverging physics.
+
+``python -m tests.campaign --hours 9 --directory DIR`` repeats random trials. Each has a number,
+which is the seed of its random numbers and is printed first. ``--replay NUMBER`` repeats one. What
+a trial that failed has left stays in ``DIR/failed-NUMBER``. ``DIR/summary.json`` holds the counts.
+
+``--long-run`` trains one run instead, and records its resident memory, threads and open files every
+minute in ``DIR/resources.csv``.
+"""
+
+import argparse
+import csv
+import json
+import random
+import shlex
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+from tests.campaign.program import start
+from tests.campaign.trials import TRAIN, TRIALS
+
+
+def campaign(directory: Path, hours: float, first: int) -> int:
+    """Repeat trials until the time is over; return the number of failures."""
+    began, number, counts, failures = time.time(), first, Counter[str](), []
+    while time.time() < began + 3600 * hours:
+        problem = trial(directory, number, counts)
+        if problem is not None:
+            failures.append({"trial": number, "problem": problem[-2000:]})
+        number += 1
+        summary = {
+            "hours": round((time.time() - began) / 3600, 3),
+            "trials": number - first,
+            "first": first,
+            "counts": dict(sorted(counts.items())),
+            "failures": failures,
+        }
+        (directory / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    return len(failures)
+
+
+def trial(directory: Path, number: int, counts: Counter[str]) -> str | None:
+    """Make one trial, and return the traceback if it failed."""
+    rng = random.Random(number)
+    name = rng.choice(list(TRIALS))
+    say(f"{time.strftime('%H:%M:%S')} trial {number}: {name}")
+    place = directory / f"failed-{number}"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    try:
+        counts.update(TRIALS[name](rng, place))
+    except Exception:
+        counts["failures"] += 1
+        problem = traceback.format_exc()
+        say(problem)
+        return f"{name}: {problem}"
+    counts[f"trials of {name}"] += 1
+    shutil.rmtree(place)
+    return None
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a file."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def long_run(directory: Path, hours: float) -> None:
+    """Train, and write a row of ``resources.csv`` every minute."""
+    place = directory / "long"
+    place.mkdir(parents=True, exist_ok=True)
+    words = [*shlex.split(TRAIN), "--iterations", "100000000", "--output", "run", "--quiet"]
+    words.remove("num_iterations=200")
+    process, began = start(words, place), time.time()
+    path = Path(f"/proc/{process.pid}")
+    with (directory / "resources.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("minute", "resident_kb", "threads", "open_files"))
+        for minute in range(int(60 * hours) + 1):
+            time.sleep(max(0.0, began + 60 * minute - time.time()))
+            fields = dict(line.split(":", 1) for line in (path / "status").read_text().splitlines())
+            resident, threads = (int(fields[x].split()[0]) for x in ("VmRSS", "Threads"))
+            writer.writerow((minute, resident, threads, len([*(path / "fd").iterdir()])))
+            file.flush()
+    process.send_signal(signal.SIGTERM)
+    process.communicate()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--directory", type=Path, default=Path("campaign"))
+    parser.add_argument("--first", type=int, default=None, help="number of the first trial")
+    parser.add_argument("--replay", type=int, default=None, help="repeat the trial of this number")
+    parser.add_argument("--long-run", action="store_true")
+    arguments = parser.parse_args()
+    directory = arguments.directory.absolute()
+    directory.mkdir(parents=True, exist_ok=True)
+    if arguments.long_run:
+        long_run(directory, arguments.hours)
+    elif arguments.replay is not None:
+        raise SystemExit(trial(directory, arguments.replay, Counter()) is not None)
+    else:
+        first = random.randrange(10**9) if arguments.first is None else arguments.first
+        raise SystemExit(campaign(directory, arguments.hours, first) > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,19 +7,29 @@ from typing import Any
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
-from ailsrs_jax.envs.physics import InitialState, Perceptrons, Trajectories
+from ailsrs_jax.envs.physics import InitialState, Perceptrons, Segments, Trajectories
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_call
 from ailsrs_jax.workers.episode import Perceptron, Request
 from ailsrs_jax.workers.pool import Pool
 from ailsrs_jax.workers.process import ProcessWorker
+from ailsrs_jax.workers.segment import SegmentRequest
 
 PREFIX = "gymnasium:"
 LARGEST_SEED = 2**31 - 1
 WORKER_TIMEOUT = 600.0  # seconds
+
+
+class Unfinished(struct.PyTreeNode):
+    """Episodes in the middle, told by how they came there."""
+
+    seed: jax.Array  # (S,) int32
+    actions: jax.Array  # (S, T, p) float32 so far, then zeros
 
 
 class GymnasiumEnv:
@@ -83,6 +93,72 @@ class GymnasiumEnv:
         )
         return result
 
+    def begin_segments(self, starts: jax.Array, episode_length: int) -> Unfinished:
+        """Return what :meth:`run_segments` goes on from, at the beginning of S episodes."""
+        return Unfinished(starts, jnp.zeros((len(starts), episode_length, self.action_size)))
+
+    def run_segments(
+        self,
+        policies: Perceptrons,
+        states: Unfinished,
+        times: jax.Array,
+        restarts: jax.Array,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[Unfinished, jax.Array, Segments, jax.Array]:
+        """Go on with S episodes for L steps each; see ``MujocoTask.run_segments``.
+
+        ``restarts`` are seeds.
+        """
+        shape = noise.shape[:2]
+        observations = jax.ShapeDtypeStruct((*shape, self.observation_size), np.float32)
+        actions = jax.ShapeDtypeStruct(noise.shape, np.float32)
+        flags = jax.ShapeDtypeStruct(shape, bool)
+        segments = Segments(observations, actions, observations, flags, flags, flags)
+        rewards = jax.ShapeDtypeStruct(shape, np.float32)
+        types = jax.eval_shape(lambda *x: x, states, times, segments, rewards)
+        result: tuple[Unfinished, jax.Array, Segments, jax.Array] = host_call(
+            functools.partial(self._go_on, episode_length),
+            types,
+            *(policies, states, times, restarts, noise),
+        )
+        return result
+
+    def _go_on(
+        self,
+        episode_length: int,
+        policies: Perceptrons,
+        states: Any,
+        times: np.ndarray,
+        restarts: np.ndarray,
+        noise: np.ndarray,
+    ) -> Any:
+        results = self._pool.run(
+            [
+                SegmentRequest(
+                    policy=policy,
+                    noise=noise[i],
+                    seed=int(states.seed[i]),
+                    actions=states.actions[i, : times[i]],
+                    restarts=restarts[i],
+                    episode_length=episode_length,
+                    place=i,
+                )
+                for i, policy in enumerate(_perceptrons(policies))
+            ]
+        )
+        *columns, seeds, actions = zip(*results, strict=True)
+        observations, taken, following, rewards, *ends = map(np.stack, columns)
+        so_far = np.zeros_like(states.actions)
+        for row, numbers in zip(so_far, actions, strict=True):
+            row[: len(numbers)] = numbers
+        return (
+            Unfinished(np.array(seeds, np.int32), so_far),  # type: ignore[arg-type]
+            np.array(list(map(len, actions)), np.int32),
+            Segments(observations, taken, following, *ends),
+            rewards,
+        )
+
     def follow(
         self, policy: str | Callable[[np.ndarray], Any], seeds: Sequence[int], noise: np.ndarray
     ) -> tuple[Trajectories, np.ndarray]:
@@ -116,16 +192,10 @@ class GymnasiumEnv:
             begins: list[Any] = list(zip(starts.qpos, starts.qvel, strict=True))
         else:
             begins = starts.tolist()
-        of_each = zip(*jax.tree.leaves(policies), strict=True)
         return self._run_requests(
             [
-                Request(
-                    policy=Perceptron(layers_of(policies.sizes, parameters), *others),
-                    noise=noise[i],
-                    start=begins[i],
-                    episode_length=episode_length,
-                )
-                for i, (parameters, *others) in enumerate(of_each)
+                Request(policy, noise[i], begins[i], episode_length)
+                for i, policy in enumerate(_perceptrons(policies))
             ]
         )
 
@@ -153,6 +223,14 @@ class GymnasiumEnv:
             diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
         )
         return episodes, jax.ShapeDtypeStruct(shape, np.float32)
+
+
+def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
+    """Return each of the policies, as the workers take them."""
+    return [
+        Perceptron(layers_of(policies.sizes, parameters), *others)
+        for parameters, *others in zip(*jax.tree.leaves(policies), strict=True)
+    ]
 
 
 def layers_of(

@@ -48,6 +48,8 @@ class Request(NamedTuple):
     start: int | tuple[np.ndarray, np.ndarray]  # a seed, or positions and velocities
     episode_length: int  # T
 
+    place: None = None  # any worker will do
+
 
 class Episode(NamedTuple):
     """L live steps."""
@@ -119,12 +121,7 @@ def run(env: Any, request: Request) -> Episode:
         action = np.ravel(policy(observation))
         action = action + noise[len(rewards)] if len(noise) else action
         action = np.clip(action, low, high)
-        following, reward, terminated, truncated, _ = env.step(
-            action.reshape(env.action_space.shape)
-        )
-        # Comparisons with NaN are false.
-        finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
-        diverged = not all(map(np.all, finite))
+        following, reward, terminated, truncated, diverged = step(env, action)
         if not diverged:
             observations.append(observation)
             actions.append(action)
@@ -139,6 +136,14 @@ def run(env: Any, request: Request) -> Episode:
         np.asarray(observation, np.float32),
         diverged,
     )
+
+
+def step(env: Any, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, bool]:
+    """Apply ``action (p,)``: return what ``env.step`` does, and whether that is not finite."""
+    following, reward, terminated, truncated, _ = env.step(action.reshape(env.action_space.shape))
+    # Comparisons with NaN are false.
+    finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
+    return following, reward, terminated, truncated, not all(map(np.all, finite))
 
 
 def begin(env: Any, start: int | tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -219,6 +219,34 @@ def test_no_worker_outlives_the_program(number: int, tmp_path: Path) -> None:
         time.sleep(0.1)
 
 
+ON_RAY = """
+from tests.workers.test_pool import *
+assert_same(
+    run(GymnasiumEnv(make("Dying"), workers="ray:2"), 8), run(GymnasiumEnv(make("Mass"), 1), 8)
+)
+with pytest.raises(UserError, match="Raising: ZeroDivisionError: no such force"):
+    run(GymnasiumEnv(make("Raising"), workers="ray:2"))
+print("as undisturbed")
+"""
+
+
+@pytest.mark.slow
+def test_lost_actors_of_ray_are_replaced(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    program = subprocess.run(
+        [sys.executable, "-c", ON_RAY],
+        env={**os.environ, "MARKS": str(tmp_path)},
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert "as undisturbed\n" in program.stdout, program.stderr
+    assert program.returncode == 0
+    assert "Traceback" not in program.stderr
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def children(pid: int) -> list[int]:
     found = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, check=False)
     return list(map(int, found.stdout.split()))

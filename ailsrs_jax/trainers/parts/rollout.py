@@ -172,21 +172,7 @@ def _run_whole(
     num_episodes, num_actions = policies.action_low.shape
     if noise is None:
         noise = jnp.zeros((num_episodes, 0, num_actions))
-    weights, biases = policies.layers
-    parameters = [
-        array.reshape(num_episodes, -1)
-        for matrix, bias in zip(weights, biases, strict=True)
-        for array in (matrix.swapaxes(1, 2), bias)
-    ]
-    perceptrons = Perceptrons(
-        jnp.concatenate(parameters, axis=1),
-        policies.mean,
-        policies.std,
-        policies.action_low,
-        policies.action_high,
-        sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
-    )
-    run, rewards = env.run_episodes(perceptrons, starts, noise, episode_length)
+    run, rewards = env.run_episodes(perceptrons_of(policies), starts, noise, episode_length)
     time = jnp.arange(episode_length)
     # Comparisons with NaN are false.
     absurd = (time < run.lengths[:, None]) & ~(jnp.abs(rewards) <= LARGEST)
@@ -201,6 +187,24 @@ def _run_whole(
         diverged=diverged,
         final_observations=run.final_observations,
         slot_steps=run.lengths.sum(),
+    )
+
+
+def perceptrons_of(policies: Policy) -> Perceptrons:
+    """Return a batch of policies as simulators on the host take them."""
+    weights, biases = policies.layers
+    parameters = [
+        array.reshape(len(array), -1)
+        for matrix, bias in zip(weights, biases, strict=True)
+        for array in (matrix.swapaxes(1, 2), bias)
+    ]
+    return Perceptrons(
+        jnp.concatenate(parameters, axis=1),
+        policies.mean,
+        policies.std,
+        policies.action_low,
+        policies.action_high,
+        sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
     )
 
 

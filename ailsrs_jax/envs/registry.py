@@ -161,11 +161,12 @@ def require_harmless(env_id: str, source: str) -> None:
     """
     if env_id in TASKS or not is_own(env_id) or is_here(env_id):
         return
-    gymnasium_id = env_id.removeprefix(PREFIX)
-    if is_gymnasium(env_id) and (gymnasium_id in gymnasium.registry or is_here(gymnasium_id)):
-        return
     parts = env_id.partition(":")[0].split(".")
-    if all(map(str.isidentifier, parts)) and parts[0] not in sys.stdlib_module_names:
+    if is_gymnasium(env_id):
+        gymnasium_id = env_id.removeprefix(PREFIX)
+        if gymnasium_id in gymnasium.registry or is_here(gymnasium_id):
+            return
+    elif all(map(str.isidentifier, parts)) and parts[0] not in sys.stdlib_module_names:
         factory = _factory(env_id)
         if isinstance(factory, type) and issubclass(factory, Env):
             return

@@ -175,8 +175,11 @@ def test_actuators_with_a_state_need_the_c_engine() -> None:
 
 @pytest.mark.usefixtures("own_tasks")
 def test_harmful_names_in_files_are_not_imported() -> None:
-    for env_id in ("Hopper-v5", "own_tasks:Slider", "PointMass", "tests.point_mass:PointMass"):
+    harmless = ("Hopper-v5", "own_tasks:Slider", "PointMass", "tests.point_mass:PointMass")
+    own_of_gymnasium = ("gymnasium:Pendulum-v1", "gymnasium:own_tasks:Slider-v0")
+    for env_id in (*harmless, *own_of_gymnasium):
         require_harmless(env_id, "policy.npz")
-    for env_id in ("os:abort", "posix:_exit", "shutil:rmtree", "pip:main", "../x:y", ":", "a b:c"):
+    calls = ("os:abort", "posix:_exit", "shutil:rmtree", "pip:main", "gymnasium:pip:Main-v0")
+    for env_id in (*calls, "../x:y", ":", "a b:c"):
         with pytest.raises(UserError, match=r"policy\.npz names .* not imported"):
             require_harmless(env_id, "policy.npz")

@@ -7,19 +7,36 @@ from typing import Any
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
-from ailsrs_jax.envs.physics import InitialState, Perceptrons, Trajectories
+from ailsrs_jax.envs.physics import Perceptrons, Segments, Trajectories
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_call
 from ailsrs_jax.workers.episode import Perceptron, Request
 from ailsrs_jax.workers.pool import Pool
 from ailsrs_jax.workers.process import ProcessWorker
+from ailsrs_jax.workers.segment import SegmentRequest
 
 PREFIX = "gymnasium:"
 LARGEST_SEED = 2**31 - 1
 WORKER_TIMEOUT = 600.0  # seconds
+
+
+class GymnasiumStart(struct.PyTreeNode):
+    """Where an episode begins."""
+
+    seed: jax.Array  # () int32, of the environment's reset
+    observation: jax.Array  # (n,) of the state that it is put into then; NaN if it stays there
+
+
+class Unfinished(struct.PyTreeNode):
+    """Episodes in the middle, told by how they came there."""
+
+    seed: jax.Array  # (S,) int32
+    actions: jax.Array  # (S, T, p) float32 so far, then zeros
 
 
 class GymnasiumEnv:
@@ -57,23 +74,34 @@ class GymnasiumEnv:
         facts = self._pool.describe()
         self.observation_size, self.action_size = facts.observation_size, len(facts.action_low)
         self.action_low, self.action_high = facts.action_low, facts.action_high
-        self.time_limit, self.sets_states = facts.time_limit, facts.sets_states
+        self.time_limit, self.sets_observations = facts.time_limit, facts.sets_observations
 
-    def draw_start(self, key: jax.Array) -> jax.Array:
-        """Return a seed for the environment's ``reset``, ``()`` int32."""
-        return jax.random.randint(key, (), 0, LARGEST_SEED)
+    def draw_start(self, key: jax.Array) -> GymnasiumStart:
+        """Return a reset with a seed drawn with ``key``."""
+        seed = jax.random.randint(key, (), 0, LARGEST_SEED)
+        return GymnasiumStart(seed, jnp.full(self.observation_size, jnp.nan))
+
+    def resets(self, seeds: Sequence[int] | jax.Array) -> GymnasiumStart:
+        """Return resets with ``seeds (B,)``."""
+        nowhere = jnp.full((len(seeds), self.observation_size), jnp.nan)
+        return GymnasiumStart(jnp.asarray(seeds, jnp.int32), nowhere)
+
+    def state_at(self, observation: jax.Array) -> GymnasiumStart:
+        """Return the state in which ``observation (n,)`` is made.
+
+        Only environments with ``sets_observations`` can start there; see
+        :func:`~ailsrs_jax.workers.episode.find_setter`.
+        """
+        return GymnasiumStart(jnp.zeros((), jnp.int32), observation)
 
     def run_episodes(
         self,
         policies: Perceptrons,
-        starts: jax.Array | InitialState,
+        starts: GymnasiumStart,
         noise: jax.Array,
         episode_length: int,
     ) -> tuple[Trajectories, jax.Array]:
-        """Simulate an episode of each policy; see ``MujocoTask.run_episodes``.
-
-        ``starts`` are seeds, or states for the environment's ``set_state``.
-        """
+        """Simulate an episode of each policy; see ``MujocoTask.run_episodes``."""
         result: tuple[Trajectories, jax.Array] = host_call(
             functools.partial(self._run, episode_length),
             self._types(len(noise), episode_length),
@@ -82,6 +110,73 @@ class GymnasiumEnv:
             noise,
         )
         return result
+
+    def begin_segments(self, starts: GymnasiumStart, episode_length: int) -> Unfinished:
+        """Return what :meth:`run_segments` goes on from, after the resets of S episodes."""
+        shape = (len(starts.seed), episode_length, self.action_size)
+        return Unfinished(starts.seed, jnp.zeros(shape))
+
+    def run_segments(
+        self,
+        policies: Perceptrons,
+        states: Unfinished,
+        times: jax.Array,
+        restarts: GymnasiumStart,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[Unfinished, jax.Array, Segments, jax.Array]:
+        """Go on with S episodes for L steps each; see ``MujocoTask.run_segments``.
+
+        The ``restarts`` are resets.
+        """
+        shape = noise.shape[:2]
+        observations = jax.ShapeDtypeStruct((*shape, self.observation_size), np.float32)
+        actions = jax.ShapeDtypeStruct(noise.shape, np.float32)
+        flags = jax.ShapeDtypeStruct(shape, bool)
+        segments = Segments(observations, actions, observations, flags, flags, flags)
+        rewards = jax.ShapeDtypeStruct(shape, np.float32)
+        types = jax.eval_shape(lambda *x: x, states, times, segments, rewards)
+        result: tuple[Unfinished, jax.Array, Segments, jax.Array] = host_call(
+            functools.partial(self._go_on, episode_length),
+            types,
+            *(policies, states, times, restarts.seed, noise),
+        )
+        return result
+
+    def _go_on(
+        self,
+        episode_length: int,
+        policies: Perceptrons,
+        states: Any,
+        times: np.ndarray,
+        seeds: np.ndarray,
+        noise: np.ndarray,
+    ) -> Any:
+        results = self._pool.run(
+            [
+                SegmentRequest(
+                    policy=policy,
+                    noise=noise[i],
+                    seed=int(states.seed[i]),
+                    actions=states.actions[i, : times[i]],
+                    restarts=seeds[i],
+                    episode_length=episode_length,
+                    place=i,
+                )
+                for i, policy in enumerate(_perceptrons(policies))
+            ]
+        )
+        *columns, last_seeds, actions = zip(*results, strict=True)
+        observations, taken, following, rewards, *ends = map(np.stack, columns)
+        so_far = np.zeros_like(states.actions)
+        for row, numbers in zip(so_far, actions, strict=True):
+            row[: len(numbers)] = numbers
+        return (
+            Unfinished(np.array(last_seeds, np.int32), so_far),  # type: ignore[arg-type]
+            np.array(list(map(len, actions)), np.int32),
+            Segments(observations, taken, following, *ends),
+            rewards,
+        )
 
     def follow(
         self, policy: str | Callable[[np.ndarray], Any], seeds: Sequence[int], noise: np.ndarray
@@ -100,7 +195,7 @@ class GymnasiumEnv:
         num_steps = noise.shape[1]
         return self._run_requests(
             [
-                Request(policy, noise=noise[i], start=seed, episode_length=num_steps)
+                Request(policy, noise[i], seed, start=None, episode_length=num_steps)
                 for i, seed in enumerate(seeds)
             ]
         )
@@ -112,20 +207,12 @@ class GymnasiumEnv:
         starts: Any,
         noise: np.ndarray,
     ) -> tuple[Trajectories, np.ndarray]:
-        if isinstance(starts, InitialState):
-            begins: list[Any] = list(zip(starts.qpos, starts.qvel, strict=True))
-        else:
-            begins = starts.tolist()
-        of_each = zip(*jax.tree.leaves(policies), strict=True)
+        in_states = [None if np.isnan(each).any() else each for each in starts.observation]
+        seeds = starts.seed.tolist()
         return self._run_requests(
             [
-                Request(
-                    policy=Perceptron(layers_of(policies.sizes, parameters), *others),
-                    noise=noise[i],
-                    start=begins[i],
-                    episode_length=episode_length,
-                )
-                for i, (parameters, *others) in enumerate(of_each)
+                Request(policy, noise[i], seeds[i], in_states[i], episode_length)
+                for i, policy in enumerate(_perceptrons(policies))
             ]
         )
 
@@ -153,6 +240,14 @@ class GymnasiumEnv:
             diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
         )
         return episodes, jax.ShapeDtypeStruct(shape, np.float32)
+
+
+def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
+    """Return each of the policies, as the workers take them."""
+    return [
+        Perceptron(layers_of(policies.sizes, parameters), *others)
+        for parameters, *others in zip(*jax.tree.leaves(policies), strict=True)
+    ]
 
 
 def layers_of(

@@ -1,5 +1,7 @@
 """The interface that an environment must have, and checks of it."""
 
+import functools
+import logging
 from typing import Any
 
 import jax
@@ -8,6 +10,8 @@ import numpy as np
 
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.errors import refusing, requirement
+
+logger = logging.getLogger(__name__)
 
 
 def require_env(env: Any) -> None:
@@ -54,6 +58,19 @@ def require_env(env: Any) -> None:
         f"its {p} actions go from {low.tolist()} to {high.tolist()}: give each action a range "
         "(in a MuJoCo model, give every actuator a ctrlrange)",
     )
+
+
+@functools.lru_cache(maxsize=4)
+def starts_at_observations(env: Any) -> bool:
+    """Whether ``env.state_at`` can be used; if not, this is told, once for an environment."""
+    can = bool(getattr(env, "sets_observations", hasattr(env, "state_at")))
+    if not can:
+        logger.warning(
+            "%s cannot be put into a demonstrated state, so all episodes start with a reset; give "
+            "it a method set_observation(observation)",
+            getattr(env, "env_id", env_name(env)),
+        )
+    return can
 
 
 def env_name(env: Env) -> str:

@@ -27,7 +27,7 @@ from ailsrs_jax.runs.horizon import EPISODE_LENGTH, env_horizon
 from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.config import installed_versions, require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.trainers.parts.rollout import Starts, simulate
 
 PythonPolicy = str | Callable[[np.ndarray], Any]
 
@@ -41,7 +41,7 @@ def roll_out(
     key: jax.Array,
     episode_length: int = EPISODE_LENGTH,
     noise_std: np.ndarray | float | None = None,
-    starts: jax.Array | None = None,
+    starts: Starts | None = None,
 ) -> Episodes:
     """Roll out ``policy`` in ``env``; episode ``i`` does not depend on the number of episodes.
 

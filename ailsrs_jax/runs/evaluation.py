@@ -9,7 +9,7 @@ import numpy as np
 from ailsrs_jax.components.policy import LinearPolicy, repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
+from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv, GymnasiumStart
 from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import (
     TASKS,
@@ -23,7 +23,7 @@ from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.demonstrate import roll_out
 from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.storage.config import require_seed
-from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.trainers.parts.rollout import Starts, simulate
 
 EVALUATION_STREAM = 2**31 - 1  # no demonstration has an episode of this number
 
@@ -107,7 +107,7 @@ def evaluate(
     noise_std = policy.noise_std if stochastic else None
     # These initial states differ from those of demonstrations with the same seed.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
-    starts = _seeds(task, seed, num_episodes)
+    starts = _resets(task, seed, num_episodes)
     episodes = roll_out(policy, task, num_episodes, key, length, noise_std, starts)
     return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
@@ -128,7 +128,7 @@ def evaluate_random(
     still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
     noise_key, reset_key = jax.random.split(jax.random.key(seed))
     noise = jax.random.uniform(noise_key, (num_episodes, length, p), minval=low, maxval=high)
-    starts = _seeds(env, seed, num_episodes)
+    starts: Starts | None = _resets(env, seed, num_episodes)
     if starts is None:
         starts = jax.random.split(reset_key, num_episodes)
     policies = repeated(still, num_episodes)
@@ -153,6 +153,6 @@ def _open(env: Env | str, physics: str) -> Env:
     return open_env(env).env
 
 
-def _seeds(env: Env, seed: int, num_episodes: int) -> jax.Array | None:
-    """Seeds for environments of Gymnasium, so that anybody can make the same episodes."""
-    return seed + jnp.arange(num_episodes) if isinstance(env, GymnasiumEnv) else None
+def _resets(env: Env, seed: int, num_episodes: int) -> GymnasiumStart | None:
+    """Resets of environments of Gymnasium with seeds that anybody can use for the same episodes."""
+    return env.resets(seed + jnp.arange(num_episodes)) if isinstance(env, GymnasiumEnv) else None

@@ -92,7 +92,7 @@ def film(policy: SavedPolicy, env: GymnasiumEnv, seed: int, seconds: float, limi
         per_second = spec.metadata.get("render_fps") or 30
         spec.close()
     num_steps = int(np.clip(np.ceil(seconds * per_second), 1, limit))
-    starts = jnp.array([seed])
+    starts = env.resets([seed])
     episodes = roll_out(policy, env, 1, jax.random.key(seed), num_steps, starts=starts)
     if episodes.diverged.any():
         raise UserError("the episode diverged: the environment is unstable under this policy")

@@ -102,7 +102,7 @@ class Gail(Trainer):
             actor_critic = actor_critic.replace(actor=actor)
         return TrainState(
             actor_critic=actor_critic,
-            running=segments.begin(self.env, reset_key, settings.num_envs),
+            running=segments.begin(self.env, reset_key, settings.num_envs, settings.episode_length),
             adversary=self.adversary.init(adversary_key),
             kept=keep(gaussian_policy(self.env, actor_critic)),
             key=key,
@@ -208,9 +208,7 @@ def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: Ga
     Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:
         reference.require_actions("behavior_cloning_start")
-    simulator = as_simulator(env)
-    segments.require_steps(simulator.env, "gail")
-    return Gail(simulator, settings, reference)
+    return Gail(as_simulator(env), settings, reference)
 
 
 GAIL = Algorithm("GAIL", make_gail, GailSettings, presets.GAIL)

@@ -59,7 +59,9 @@ class Trpo(Trainer):
         actor_critic = make_actor_critic(network_key, self.env, statistics, self.settings)
         return TrainState(
             actor_critic=actor_critic,
-            running=segments.begin(self.env, reset_key, self.settings.num_envs),
+            running=segments.begin(
+                self.env, reset_key, self.settings.num_envs, self.settings.episode_length
+            ),
             kept=keep(gaussian_policy(self.env, actor_critic)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
@@ -101,9 +103,7 @@ def make_trpo(env: Env | Simulator, settings: TrpoSettings) -> Trpo:
     """
     validate(settings)
     require_batches(settings)
-    simulator = as_simulator(env)
-    segments.require_steps(simulator.env, "trpo")
-    return Trpo(simulator, settings)
+    return Trpo(as_simulator(env), settings)
 
 
 TRPO = Algorithm(

@@ -1,5 +1,6 @@
 """One whole episode of a Gymnasium environment, with a policy in NumPy."""
 
+import contextlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ class Facts(NamedTuple):
     action_low: np.ndarray  # (p,) float32
     action_high: np.ndarray  # (p,)
     time_limit: int | None  # of its specification, in steps
-    sets_states: bool  # has set_state(qpos, qvel), as every MujocoEnv
+    sets_observations: bool  # can be put into the state that a given observation is made in
 
 
 class Perceptron(NamedTuple):
@@ -45,8 +46,11 @@ class Request(NamedTuple):
 
     policy: Perceptron | str | Callable[[np.ndarray], Any]  # or ``module:attribute``
     noise: np.ndarray  # (T, p), added to the actions before they are clipped; (0, p) for none
-    start: int | tuple[np.ndarray, np.ndarray]  # a seed, or positions and velocities
+    seed: int
+    start: np.ndarray | None  # (n,) the first observation, if it is not that of a reset
     episode_length: int  # T
+
+    place: None = None  # any worker will do
 
 
 class Episode(NamedTuple):
@@ -70,9 +74,8 @@ def make(name: str | Callable[[], gymnasium.Env], render_mode: str | None = None
         TypeError: observations or actions are not of a kind that our policies can handle.
     """
     if isinstance(name, str):
-        env = gymnasium.make(
-            name, max_episode_steps=-1, disable_env_checker=True, render_mode=render_mode
-        )
+        options = {"render_mode": render_mode} if render_mode else {}  # not every one has it
+        env = gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
     else:
         env = name()
     observed = env.observation_space
@@ -91,14 +94,15 @@ def describe(env: gymnasium.Env, name: str | Callable[[], gymnasium.Env]) -> Fac
     space = env.action_space
     assert isinstance(space, Box)
     assert env.observation_space.shape is not None
-    # A specification by name still has the limit that ``make`` has left out.
-    spec = gymnasium.spec(name) if isinstance(name, str) else env.spec
+    # A specification by name still has the limit that ``make`` has left out. The module in front of
+    # it has been imported.
+    spec = gymnasium.spec(name.rpartition(":")[2]) if isinstance(name, str) else env.spec
     return Facts(
         observation_size=env.observation_space.shape[0],
         action_low=np.float32(space.low).ravel(),
         action_high=np.float32(space.high).ravel(),
         time_limit=spec.max_episode_steps if spec is not None else None,
-        sets_states=hasattr(env.unwrapped, "set_state"),
+        sets_observations=find_setter(env) is not None,
     )
 
 
@@ -110,7 +114,7 @@ def run(env: Any, request: Request) -> Episode:
         low, high = policy.action_low, policy.action_high
     elif isinstance(policy, str):
         policy = load_own(policy)
-    observation = begin(env, request.start)
+    observation = begin(env, request.seed, request.start)
     observations: list[np.ndarray] = []
     actions: list[np.ndarray] = []
     rewards: list[float] = []
@@ -119,12 +123,7 @@ def run(env: Any, request: Request) -> Episode:
         action = np.ravel(policy(observation))
         action = action + noise[len(rewards)] if len(noise) else action
         action = np.clip(action, low, high)
-        following, reward, terminated, truncated, _ = env.step(
-            action.reshape(env.action_space.shape)
-        )
-        # Comparisons with NaN are false.
-        finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
-        diverged = not all(map(np.all, finite))
+        following, reward, terminated, truncated, diverged = step(env, action)
         if not diverged:
             observations.append(observation)
             actions.append(action)
@@ -141,12 +140,42 @@ def run(env: Any, request: Request) -> Episode:
     )
 
 
-def begin(env: Any, start: int | tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Start an episode; return the first observation ``(n,)``."""
-    if not isinstance(start, tuple):
-        return np.asarray(env.reset(seed=start)[0])
-    env.reset(seed=0)
-    qpos, qvel = map(np.float64, start)
-    env.unwrapped.set_state(qpos, qvel)
-    observation = env.unwrapped._get_obs()
-    return np.asarray(gymnasium.spaces.flatten(env.unwrapped.observation_space, observation))
+def step(env: Any, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, bool]:
+    """Apply ``action (p,)``: return what ``env.step`` does, and whether that is not finite."""
+    following, reward, terminated, truncated, _ = env.step(action.reshape(env.action_space.shape))
+    # Comparisons with NaN are false.
+    finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
+    return following, reward, terminated, truncated, not all(map(np.all, finite))
+
+
+def begin(env: Any, seed: int, start: np.ndarray | None = None) -> np.ndarray:
+    """Start an episode, at a reset or where ``start (n,)`` is observed; return the observation."""
+    observation = env.reset(seed=seed)[0]
+    if start is None:
+        return np.asarray(observation)
+    find_setter(env)(start)  # type: ignore[misc]
+    return np.asarray(start, float)
+
+
+def find_setter(env: Any) -> Callable[[np.ndarray], object] | None:
+    """Return the function that puts ``env`` into the state in which an observation is made.
+
+    It is the method ``set_observation`` of the environment or of a wrapper. Gymnasium's MuJoCo
+    environments need none if they observe positions and velocities.
+    """
+    with contextlib.suppress(AttributeError):
+        return env.get_wrapper_attr("set_observation")
+    base = env.unwrapped
+    structure = {"skipped_qpos": 0, "qpos": 0, "qvel": 0}
+    structure.update(getattr(base, "observation_structure", {}))
+    skipped, num_positions, num_velocities = list(structure.values())[:3]
+
+    def set_observation(observation: np.ndarray) -> None:
+        positions, velocities, _ = np.split(
+            observation, [num_positions, num_positions + num_velocities]
+        )
+        base.set_state(np.append(base.init_qpos[:skipped], positions), np.float64(velocities))
+
+    model = getattr(base, "model", None)
+    sizes = (getattr(model, "nq", None), getattr(model, "nv", None))
+    return set_observation if sizes == (skipped + num_positions, num_velocities) else None

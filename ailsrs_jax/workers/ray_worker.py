@@ -1,25 +1,24 @@
 """A worker that is a Ray actor, on the Ray cluster that there is or on a local one."""
 
+import logging
+import warnings
 from collections.abc import Sequence
 from typing import IO, Any
 
 import ray
 
-from ailsrs_jax.workers import episode
+from ailsrs_jax.workers.segment import Environments
 from ailsrs_jax.workers.worker import Failure, attempt
 
 
 class _Actor:
     def __init__(self, name: Any) -> None:
-        self._name, self._env = name, None
+        self._envs = attempt(Environments, name)
 
     def answer(self, request: Any) -> Any:
-        if request is not None:
-            return attempt(episode.run, self._env, request)
-        self._env = attempt(episode.make, self._name)
-        if isinstance(self._env, Failure):
-            return self._env
-        return attempt(episode.describe, self._env, self._name)
+        if isinstance(self._envs, Failure):
+            return self._envs
+        return attempt(self._envs.facts) if request is None else attempt(self._envs.answer, request)
 
 
 class RayWorker:
@@ -29,8 +28,11 @@ class RayWorker:
         """Start the actor; its first answer are the facts about the environment."""
         del log  # Ray has its own
         if not ray.is_initialized():
-            ray.init(log_to_driver=False, include_dashboard=False)
-        self._actor = ray.remote(num_cpus=1)(_Actor).remote(name)
+            with warnings.catch_warnings():
+                # Ray forks only to start its own programs, which do not use JAX.
+                warnings.filterwarnings("ignore", message=".*os.fork")
+                ray.init(log_to_driver=False, logging_level=logging.ERROR, include_dashboard=False)
+        self._actor: Any = ray.remote(num_cpus=1)(_Actor).remote(name)
         self.send(None)
 
     def send(self, request: Any) -> None:
@@ -46,7 +48,8 @@ class RayWorker:
 
     def kill(self) -> None:
         """End the actor at once."""
-        ray.kill(self._actor)
+        if ray.is_initialized():  # when Python ends, Ray ends before the pools of workers do
+            ray.kill(self._actor)
 
     @staticmethod
     def ready(workers: Sequence["RayWorker"], seconds: float) -> list["RayWorker"]:

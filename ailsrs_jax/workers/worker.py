@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import cloudpickle
 
 from ailsrs_jax.errors import one_line
-from ailsrs_jax.workers import episode
+from ailsrs_jax.workers.segment import Environments
 
 
 class Failure(NamedTuple):
@@ -35,14 +35,14 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def serve(connection: Connection) -> None:
-    """Make the environment of the first request, then answer the others with episodes."""
+    """Make the environment of the first request, then run the episodes and segments of others."""
     requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(connection, requests), daemon=True).start()
     sys.path[:], name = requests.get()
-    env = attempt(episode.make, name)
-    connection.send(env if isinstance(env, Failure) else attempt(episode.describe, env, name))
+    envs = attempt(Environments, name)
+    connection.send(envs if isinstance(envs, Failure) else attempt(envs.facts))
     while True:
-        connection.send(attempt(episode.run, env, requests.get()))
+        connection.send(attempt(envs.answer, requests.get()))
 
 
 def _receive(connection: Connection, requests: "queue.SimpleQueue[Any]") -> None:

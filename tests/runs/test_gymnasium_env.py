@@ -96,11 +96,30 @@ def test_a_function_that_makes_the_environment() -> None:
     assert run.policies[0].weights.shape == (1, 2)
 
 
-@pytest.mark.parametrize("algorithm", ["gail", "trpo"])
-def test_what_needs_single_steps_is_refused(algorithm: str) -> None:
-    demonstrations = mass_demonstrations() if algorithm == "gail" else None
-    with pytest.raises(UserError, match=f"{algorithm} needs an environment that goes on"):
-        ail.train(make("Mass"), demonstrations, algorithm=algorithm)
+def test_gail_learns_whatever_the_workers() -> None:
+    settings = {
+        "num_iterations": 2,
+        "updates_per_iteration": 2,
+        "batch_size": 256,
+        "behavior_cloning_steps": 300,
+        "num_distance_samples": 50,
+        "episode_length": 30,
+    }
+    runs = [
+        ail.train(
+            make("Mass"), mass_demonstrations(), algorithm="gail", workers=workers, **settings
+        )
+        for workers in (1, 2)
+    ]
+    one, other = (run.policies[0] for run in runs)
+    for mine, theirs in zip(one.weights, other.weights, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert ail.evaluate(one, 3, env=make("Mass"), episode_length=30).mean > 10
+
+
+def test_what_steps_all_together_is_refused() -> None:
+    with pytest.raises(UserError, match=r"ppo steps all environments together.*: use ars"):
+        ail.train_expert(PENDULUM)
 
 
 class Fragile(Mass):

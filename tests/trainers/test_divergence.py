@@ -172,7 +172,7 @@ def test_counts_do_not_depend_on_the_number_of_devices() -> None:
 
 def test_batches_hold_other_steps_instead() -> None:
     env = ExplodingPointMass()
-    episodes = segments.begin(env, jax.random.key(0), 10)
+    episodes = segments.begin(env, jax.random.key(0), 10, EPISODE_LENGTH)
     episodes, steps = segments.collect(
         env, some_policy(0.0, 0.1), episodes, jax.random.key(1), 40, EPISODE_LENGTH
     )

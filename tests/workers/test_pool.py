@@ -16,8 +16,7 @@ import pytest
 
 from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, repeated
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
-from ailsrs_jax.envs.interface import action_range
-from ailsrs_jax.envs.physics import InitialState
+from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import Interrupted, host_errors, interruptible
 from ailsrs_jax.trainers.parts.episodes import Episodes
@@ -69,8 +68,7 @@ def test_they_are_those_of_a_plain_loop(mass: GymnasiumEnv) -> None:
     assert (mass.observation_size, mass.action_size, mass.time_limit) == (2, 1, None)
     assert (mass.action_low.tolist(), mass.action_high.tolist()) == ([-2.0], [2.0])
     noise = 2 * jax.random.normal(jax.random.key(1), (6, 50, 1))
-    seeds = jnp.arange(6)
-    episodes = run(mass, noise=noise, starts=seeds)
+    episodes = run(mass, noise=noise, starts=mass.resets(range(6)))
     env, policies = environments.Mass(), controller(mass, 6)
     for i in range(6):
         observation, _ = env.reset(seed=i)
@@ -105,21 +103,46 @@ def test_networks_act_as_in_jax(mass: GymnasiumEnv) -> None:
 
 
 def test_dictionaries_are_flattened(mass: GymnasiumEnv) -> None:
-    named = run(GymnasiumEnv(make("Named"), workers=1), starts=jnp.arange(6))
+    starts = mass.resets(range(6))
+    named = run(GymnasiumEnv(make("Named"), workers=1), starts=starts)
     np.testing.assert_allclose(
-        named.observations[:, 0], run(mass, starts=jnp.arange(6)).observations[:, 0], rtol=1e-6
+        named.observations[:, 0], run(mass, starts=starts).observations[:, 0], rtol=1e-6
     )
 
 
-def test_states_to_begin_from() -> None:
-    env = GymnasiumEnv("InvertedDoublePendulum-v5", workers=1)
-    assert (env.sets_states, env.time_limit, env.observation_size) == (True, 1000, 9)
-    starts = InitialState(jnp.array([[0.3, 0.1, -0.2]]), jnp.array([[0.0, 0.5, 0.0]]))
-    zero = LinearPolicy(jnp.zeros((1, 9)), jnp.zeros(9), jnp.ones(9), *action_range(env))
-    episode = simulate(env, repeated(zero, 1), starts, 3)
-    np.testing.assert_allclose(
-        episode.observations[0, 0, :3], [0.3, np.sin(0.1), np.sin(-0.2)], 1e-6
-    )
+@pytest.mark.parametrize("name", ["gymnasium:Hopper-v5", "Placed"])
+def test_demonstrated_states_to_begin_from(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Beside resets; each goes on as the episode that it was demonstrated in."""
+    env = GymnasiumEnv(name.partition(":")[2] or make(name), workers=1)
+    assert starts_at_observations(env)
+    n = env.observation_size
+    weights = 0.3 * jax.random.normal(jax.random.key(0), (env.action_size, n))
+    policies = repeated(LinearPolicy(weights, jnp.zeros(n), jnp.ones(n), *action_range(env)), 2)
+    resets = env.resets([5, 6])
+    whole = simulate(env, policies, resets, 9)
+    states = jax.vmap(env.state_at)(whole.observations[:, 4])
+    starts = jax.tree.map(lambda state, reset: jnp.stack([state[0], reset[1]]), states, resets)
+    later = simulate(env, policies, starts, 5)
+    np.testing.assert_allclose(later.observations[0], whole.observations[0, 4:], atol=1e-3)
+    np.testing.assert_array_equal(later.observations[1], whole.observations[1, :5])
+    assert not caplog.text
+
+
+def test_what_cannot_be_put_there_is_told_once(
+    mass: GymnasiumEnv, caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(2):
+        assert not starts_at_observations(mass)
+    assert not GymnasiumEnv("InvertedDoublePendulum-v5", workers=1).sets_observations
+    assert caplog.messages == [
+        "gymnasium:Mass cannot be put into a demonstrated state, so all episodes start with a "
+        "reset; give it a method set_observation(observation)"
+    ]
+
+
+def test_names_may_say_which_module_registers_them() -> None:
+    env = GymnasiumEnv("tests.workers.environments:Plain-v0", workers=1)
+    assert env.time_limit == 40
 
 
 @pytest.mark.parametrize(
@@ -217,6 +240,34 @@ def test_no_worker_outlives_the_program(number: int, tmp_path: Path) -> None:
     while any(Path(f"/proc/{worker}").exists() for worker in workers):
         assert time.monotonic() < deadline
         time.sleep(0.1)
+
+
+ON_RAY = """
+from tests.workers.test_pool import *
+assert_same(
+    run(GymnasiumEnv(make("Dying"), workers="ray:2"), 8), run(GymnasiumEnv(make("Mass"), 1), 8)
+)
+with pytest.raises(UserError, match="Raising: ZeroDivisionError: no such force"):
+    run(GymnasiumEnv(make("Raising"), workers="ray:2"))
+print("as undisturbed")
+"""
+
+
+@pytest.mark.slow
+def test_lost_actors_of_ray_are_replaced(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    program = subprocess.run(
+        [sys.executable, "-c", ON_RAY],
+        env={**os.environ, "MARKS": str(tmp_path)},
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert "as undisturbed\n" in program.stdout, program.stderr
+    assert program.returncode == 0
+    assert "Traceback" not in program.stderr
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def children(pid: int) -> list[int]:

@@ -8,6 +8,7 @@ from ailsrs_jax.envs.physics.base import Perceptrons as Perceptrons
 from ailsrs_jax.envs.physics.base import Physics as Physics
 from ailsrs_jax.envs.physics.base import PhysicsState as PhysicsState
 from ailsrs_jax.envs.physics.base import Range as Range
+from ailsrs_jax.envs.physics.base import Segments as Segments
 from ailsrs_jax.envs.physics.base import Trajectories as Trajectories
 from ailsrs_jax.errors import UserError
 

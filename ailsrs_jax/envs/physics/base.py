@@ -51,6 +51,17 @@ class Trajectories(NamedTuple):
     diverged: Any  # (B,) bool, the next step was not finite
 
 
+class Segments(NamedTuple):
+    """L consecutive steps in each of S simulations, where one episode follows another."""
+
+    observations: Any  # (S, L, n) float32, what the policy saw
+    actions: Any  # (S, L, p) float32, clipped
+    next_observations: Any  # (S, L, n) float32, of the same episode
+    terminated: Any  # (S, L) bool, the episode ended in a terminal state
+    over: Any  # (S, L) bool, it ended there, for whatever reason
+    diverged: Any  # (S, L) bool, the step was not finite; its other numbers mean nothing
+
+
 class PhysicsState(struct.PyTreeNode):
     """The state of one simulation: the fields that tasks read, and the engine's private state."""
 

@@ -76,7 +76,7 @@ def run_episode(
     noise: np.ndarray,
     stop: np.ndarray,
     trajectory: Trajectory,
-) -> tuple[int, bool]:
+) -> tuple[int, bool, bool]:
     """Simulate an episode from the state that the ``mjData`` is in.
 
     Args:
@@ -90,7 +90,8 @@ def run_episode(
         trajectory: receives the result.
 
     Returns:
-        The number of steps, and whether the next one diverged.
+        The number of steps, whether the next one diverged, and whether the last one has left the
+        limits.
     """
     observations, actions, records, observation = trajectory
     inputs = np.empty(policy.sizes.max(), np.float32)
@@ -136,7 +137,7 @@ def run_episode(
             unstable |= not abs(memory[layout.observed[i]]) <= LARGEST
         if unstable or stop[0]:
             actions[t] = 0.0
-            return t, unstable
+            return t, unstable, False
         for i in range(layout.recorded.size):
             records[t + 1, i] = memory[layout.recorded[i]]
         for i in range(layout.observed.size):
@@ -145,5 +146,5 @@ def run_episode(
             observation[i] = min(max(number, layout.lowest[i]), layout.highest[i])
         for i in range(layout.watched.size):
             if not layout.low[i] < memory[layout.watched[i]] < layout.high[i]:
-                return t + 1, False
-    return len(observations), False
+                return t + 1, False, True
+    return len(observations), False, False

@@ -4,8 +4,9 @@ import ctypes
 import itertools
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -54,6 +55,7 @@ class EpisodeRunner:
         self._senses = any(part.field == "cfrc_ext" for part in (*observed, *self._recorded))
         data = mujoco.MjData(model)
         self._shapes = {name: getattr(data, name).shape for name in recorded}
+        self.num_recorded = sum(map(math.prod, self._shapes.values()))
         names = ("mj_step", "mj_rnePostConstraint")
         self._step, self._sense = map(episode_loop.mujoco_function, names)
         self._own = threading.local()
@@ -69,7 +71,7 @@ class EpisodeRunner:
         """Call :meth:`run` in a JAX program; ``records`` has ``(B, T + 1, ...)`` of each field."""
         num_episodes, num_steps = len(starts.qpos), episode_length
         n, p = policies.sizes[0], policies.sizes[-1]
-        r = sum(map(math.prod, self._shapes.values()))
+        r = self.num_recorded
         types = Trajectories(
             observations=jax.ShapeDtypeStruct((num_episodes, num_steps, n), np.float32),
             actions=jax.ShapeDtypeStruct((num_episodes, num_steps, p), np.float32),
@@ -85,14 +87,16 @@ class EpisodeRunner:
             return result
 
         result = host_call(run, types, policies, starts, noise)
+        return result._replace(records=self.by_field(result.records))
+
+    def by_field(self, records: jax.Array) -> dict[str, jax.Array]:
+        """Split ``records (B, T, r)`` into the recorded fields ``(B, T, ...)``."""
         ends = np.cumsum([math.prod(shape) for shape in self._shapes.values()])
-        records = {
-            name: numbers.reshape(num_episodes, -1, *self._shapes[name])
-            for name, numbers in zip(
-                self._shapes, jnp.split(result.records, ends[:-1], axis=2), strict=True
-            )
+        parts = jnp.split(records, ends[:-1], axis=2)
+        return {
+            name: numbers.reshape(*records.shape[:2], *shape)
+            for (name, shape), numbers in zip(self._shapes.items(), parts, strict=True)
         }
-        return result._replace(records=records)
 
     def run(
         self,
@@ -113,29 +117,54 @@ class EpisodeRunner:
         Raises:
             Interrupted: somebody asked for a stop.
         """
-        sizes, stop = np.array(policies.sizes), np.zeros(1, bool)
-        of_each = zip(*jax.tree.leaves(policies), strict=True)
-        perceptrons = [Perceptron(sizes, *arrays) for arrays in of_each]
-        # All threads take episodes from this iterator; Python's lock makes taking one atomic.
-        waiting = iter(range(len(result.lengths)))
+        perceptrons = perceptrons_of(policies)
+
+        def run_one(i: int, stop: np.ndarray) -> None:
+            self.begin(starts.qpos[i], starts.qvel[i])
+            result.lengths[i], result.diverged[i], _ = self.run_episode(
+                perceptrons[i], noise[i], stop, Trajectory(*(array[i] for array in result[:4]))
+            )
+
+        self.share(run_one, len(result.lengths))
+
+    def begin(self, qpos: Any, qvel: Any, goes_on: bool = False) -> None:
+        """Put this thread's ``mjData`` into a state, perhaps in the middle of an episode.
+
+        As in Gymnasium's ``MujocoEnv.reset``, no force has acted yet at the beginning.
+        """
+        data = self._own.data
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(self._model, data)
+        if goes_on and self._senses:
+            mujoco.mj_rnePostConstraint(self._model, data)
+
+    def run_episode(
+        self, policy: Perceptron, noise: np.ndarray, stop: np.ndarray, trajectory: Trajectory
+    ) -> tuple[int, bool, bool]:
+        """Call :func:`~ailsrs_jax.envs.physics.episode_loop.run_episode` after :meth:`begin`."""
+        own = self._own
+        return episode_loop.run_episode(
+            own.engine, own.memory, own.warnings, own.layout, policy, noise, stop, trajectory
+        )
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities of this thread's ``mjData``."""
+        return self._own.data.qpos.copy(), self._own.data.qvel.copy()
+
+    def share(self, run_one: Callable[[int, np.ndarray], None], number: int) -> None:
+        """Let the threads share the calls ``run_one(i, stop)`` for ``i`` in ``range(number)``.
+
+        Raises:
+            Interrupted: somebody asked for a stop.
+        """
+        stop = np.zeros(1, bool)
+        # All threads take numbers from this iterator; Python's lock makes taking one atomic.
+        waiting = iter(range(number))
 
         def run_some() -> None:
-            own, data = self._own, self._own.data
             for i in itertools.takewhile(lambda _: not stop[0], waiting):
-                # As in Gymnasium's MujocoEnv.reset: no force has acted yet.
-                mujoco.mj_resetData(self._model, data)
-                data.qpos[:], data.qvel[:] = starts.qpos[i], starts.qvel[i]
-                mujoco.mj_forward(self._model, data)
-                result.lengths[i], result.diverged[i] = episode_loop.run_episode(
-                    own.engine,
-                    own.memory,
-                    own.warnings,
-                    own.layout,
-                    perceptrons[i],
-                    noise[i],
-                    stop,
-                    Trajectory(*(array[i] for array in result[:4])),
-                )
+                run_one(i, stop)
 
         with without_warnings():
             running = [self._threads.submit(run_some) for _ in range(self._num_threads)]
@@ -190,3 +219,9 @@ class EpisodeRunner:
             high=high,
             recorded=numbers(self._recorded)[0],
         )
+
+
+def perceptrons_of(policies: Perceptrons) -> list[Perceptron]:
+    """Return each of the policies, for compiled code."""
+    sizes = np.array(policies.sizes)
+    return [Perceptron(sizes, *arrays) for arrays in zip(*jax.tree.leaves(policies), strict=True)]

@@ -1,10 +1,7 @@
 """The base class of MuJoCo locomotion tasks, as a Brax environment."""
 
 import functools
-import importlib.util
-import os
 from abc import abstractmethod
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax
@@ -19,12 +16,12 @@ from ailsrs_jax.envs.physics import (
     Physics,
     PhysicsState,
     Range,
+    Segments,
     Trajectories,
     make_physics,
 )
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
-from ailsrs_jax.envs.physics.quiet import without_warnings
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.envs.tasks.model_file import load_model
 
 if TYPE_CHECKING:
     from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner
@@ -175,13 +172,57 @@ class MujocoTask(Env):
             The episodes, and rewards ``(B, T)`` that mean nothing after an episode's end.
         """
         episodes = self._episode_runner(policies, starts, noise, episode_length)
-        readings = dict(episodes.records)
-        qpos, qvel = readings.pop("qpos"), readings.pop("qvel")
-        states = PhysicsState(qpos, qvel, carry=jnp.zeros(qpos.shape[:2]), readings=readings)
-        before = jax.tree.map(lambda x: x[:, :-1], states)
-        after = jax.tree.map(lambda x: x[:, 1:], states)
-        terms = jax.vmap(jax.vmap(self._reward_terms))(before, after, episodes.actions)
-        return episodes, jnp.sum(jnp.stack(list(terms.values())), axis=0)
+        before = jax.tree.map(lambda x: x[:, :-1], episodes.records)
+        after = jax.tree.map(lambda x: x[:, 1:], episodes.records)
+        return episodes, self._recorded_rewards(before, after, episodes.actions)
+
+    def begin_segments(self, starts: InitialState, episode_length: int) -> InitialState:
+        """Return what :meth:`run_segments` goes on from, at the beginning of S episodes."""
+        del episode_length
+        return starts
+
+    def run_segments(
+        self,
+        policies: Perceptrons,
+        states: InitialState,
+        times: jax.Array,
+        restarts: InitialState,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[InitialState, jax.Array, Segments, jax.Array]:
+        """Go on with S episodes for L steps each, on all cores; another one follows each.
+
+        Args:
+            policies: S policies.
+            states: where the episodes are.
+            times: ``(S,)`` int32, steps since each episode began.
+            restarts: ``(S, L)`` starts; the one of the step that ends an episode is the next
+                episode's.
+            noise: ``(S, L, p)``, added to the actions before they are clipped.
+            episode_length: T, the time limit in environment steps.
+
+        Returns:
+            States and times afterwards, the segments, and rewards ``(S, L)``.
+        """
+        from ailsrs_jax.envs.physics.segment_runner import run_segments  # slow to import
+
+        states, times, segments, records = run_segments(
+            self._episode_runner, policies, states, times, restarts, noise, episode_length
+        )
+        return states, times, segments, self._recorded_rewards(*records, segments.actions)
+
+    def _recorded_rewards(
+        self, before: dict[str, jax.Array], after: dict[str, jax.Array], actions: jax.Array
+    ) -> jax.Array:
+        """Rewards ``(B, T)`` of steps between recorded fields ``(B, T, ...)``."""
+
+        def states(fields: dict[str, jax.Array]) -> PhysicsState:
+            readings = {name: fields[name] for name in fields if name not in STATE}
+            carry = jnp.zeros(actions.shape[:2])
+            return PhysicsState(fields["qpos"], fields["qvel"], carry, readings)
+
+        terms = jax.vmap(jax.vmap(self._reward_terms))(states(before), states(after), actions)
+        return jnp.sum(jnp.stack(list(terms.values())), axis=0)
 
     @functools.cached_property
     def _episode_runner(self) -> "EpisodeRunner":
@@ -256,24 +297,3 @@ def all_within(physics_state: PhysicsState, limits: tuple[Range, ...]) -> jax.Ar
     parts = [(read(physics_state, part), part) for part in limits]
     within = [jnp.all((part.low < numbers) & (numbers < part.high)) for numbers, part in parts]
     return jnp.all(jnp.array(within))
-
-
-def load_model(xml_file: str) -> mujoco.MjModel:
-    """Read one of Gymnasium's models by its file name, or your own by its path.
-
-    Raises:
-        UserError: the file does not exist, or MuJoCo cannot read it.
-    """
-    gymnasium = importlib.util.find_spec("gymnasium")
-    assert gymnasium is not None
-    assert gymnasium.submodule_search_locations is not None
-    assets = Path(gymnasium.submodule_search_locations[0], "envs", "mujoco", "assets")
-    is_path = xml_file.startswith((".", "~", os.sep))
-    path = Path(xml_file).expanduser() if is_path else assets / xml_file
-    if not path.is_file():
-        raise UserError(f"no model file {path}")
-    try:
-        with without_warnings():  # for example, that a model is outdated
-            return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise UserError(f"MuJoCo cannot read {path}: {str(error).splitlines()[0]}") from error

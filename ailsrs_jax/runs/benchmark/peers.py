@@ -11,11 +11,16 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from ailsrs_jax.components.policy import LinearPolicy, repeated
+from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
+from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
+from ailsrs_jax.trainers.parts.rollout import simulate
 
 SECONDS = 3.0  # how long a configuration of a vector environment is stepped
 STEPS = 64_000  # in an epoch of Brax, whose speed does not depend on the episodes' length
@@ -63,6 +68,22 @@ def gymnasium_vector(env_id: str) -> float:
             speeds.append(_rate(step, envs.num_envs))
             envs.close()
     return max(speeds)
+
+
+def gymnasium_workers(env_id: str, num_directions: int, episode_length: int) -> float:
+    """Measure whole episodes of linear policies that do nothing, in a process for each core."""
+    env = GymnasiumEnv(env_id)
+    n, p, num_episodes = env.observation_size, env.action_size, 2 * num_directions
+    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
+    policies = repeated(still, num_episodes)
+    steps, key = 0, jax.random.key(0)
+    simulate(env, policies, jax.random.split(key, num_episodes), 1)  # starts the processes
+    started = time.perf_counter()
+    while time.perf_counter() < started + SECONDS:
+        key, start_key = jax.random.split(key)
+        starts = jax.random.split(start_key, num_episodes)
+        steps += int(simulate(env, policies, starts, episode_length).env_steps)
+    return steps / (time.perf_counter() - started)
 
 
 def envpool(env_id: str) -> float:
@@ -118,5 +139,6 @@ class Peer:
 PEERS = {
     "brax_ars": Peer("brax", "mjx", brax_ars),
     "gymnasium": Peer("gymnasium", "mujoco", lambda env_id, *_: gymnasium_vector(env_id)),
+    "gymnasium_workers": Peer("gymnasium", "mujoco", gymnasium_workers),
     "envpool": Peer("envpool", "mujoco", lambda env_id, *_: envpool(env_id)),
 }

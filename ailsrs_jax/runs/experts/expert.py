@@ -23,7 +23,6 @@ from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
-from ailsrs_jax.trainers.parts.segments import require_steps
 from ailsrs_jax.trainers.parts.settings import override
 
 
@@ -72,8 +71,11 @@ def train_expert(
     task = open_env(env, physics)
     chosen = override(expert_settings(algorithm, task.env_id), settings)
     require_seed(seed)
-    if algorithm != "ars":
-        require_steps(task.env, algorithm)
+    if algorithm != "ars" and not hasattr(task.env, "step"):
+        raise UserError(
+            f"{algorithm} steps all environments together, and those of Gymnasium run whole "
+            "episodes: use ars"
+        )
     path = Path(output) if output else None
     if path is not None:
         require_format(path)

@@ -11,6 +11,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.envs.gymnasium_env import GymnasiumStart
 from ailsrs_jax.envs.physics import InitialState, Perceptrons
 from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.episodes import Episodes, empty_episodes
@@ -18,7 +19,7 @@ from ailsrs_jax.trainers.parts.slots import simulate_in_slots
 
 AXIS = "episodes"  # of a mesh of devices
 
-Starts = jax.Array | InitialState
+Starts = jax.Array | InitialState | GymnasiumStart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,8 +112,8 @@ def simulate(
     Args:
         env: a Brax environment without auto-reset; ``done`` ends an episode.
         policies: a batch of B policies.
-        starts: of each episode: ``(B,)`` keys of the initial states; or states, which MuJoCo tasks
-            and Gymnasium's MuJoCo environments take; or seeds, which Gymnasium's environments take.
+        starts: of each episode: ``(B,)`` keys of the initial states; or what ``env.draw_start`` or
+            ``env.state_at`` returns, for MuJoCo tasks and Gymnasium's environments.
         episode_length: T, the time limit in environment steps.
         batch_size: simulations at a time; by default all B. See
             :mod:`~ailsrs_jax.trainers.parts.slots`.
@@ -167,26 +168,12 @@ def _run_whole(
     episode_length: int,
 ) -> Episodes:
     """Let the environment run whole episodes; see ``MujocoTask.run_episodes``."""
-    if not isinstance(starts, InitialState) and jnp.issubdtype(starts.dtype, jax.dtypes.prng_key):
+    if isinstance(starts, jax.Array):
         starts = jax.vmap(env.draw_start)(starts)
     num_episodes, num_actions = policies.action_low.shape
     if noise is None:
         noise = jnp.zeros((num_episodes, 0, num_actions))
-    weights, biases = policies.layers
-    parameters = [
-        array.reshape(num_episodes, -1)
-        for matrix, bias in zip(weights, biases, strict=True)
-        for array in (matrix.swapaxes(1, 2), bias)
-    ]
-    perceptrons = Perceptrons(
-        jnp.concatenate(parameters, axis=1),
-        policies.mean,
-        policies.std,
-        policies.action_low,
-        policies.action_high,
-        sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
-    )
-    run, rewards = env.run_episodes(perceptrons, starts, noise, episode_length)
+    run, rewards = env.run_episodes(perceptrons_of(policies), starts, noise, episode_length)
     time = jnp.arange(episode_length)
     # Comparisons with NaN are false.
     absurd = (time < run.lengths[:, None]) & ~(jnp.abs(rewards) <= LARGEST)
@@ -201,6 +188,24 @@ def _run_whole(
         diverged=diverged,
         final_observations=run.final_observations,
         slot_steps=run.lengths.sum(),
+    )
+
+
+def perceptrons_of(policies: Policy) -> Perceptrons:
+    """Return a batch of policies as simulators on the host take them."""
+    weights, biases = policies.layers
+    parameters = [
+        array.reshape(len(array), -1)
+        for matrix, bias in zip(weights, biases, strict=True)
+        for array in (matrix.swapaxes(1, 2), bias)
+    ]
+    return Perceptrons(
+        jnp.concatenate(parameters, axis=1),
+        policies.mean,
+        policies.std,
+        policies.action_low,
+        policies.action_high,
+        sizes=(policies.mean.shape[1], *(bias.shape[1] for bias in biases)),
     )
 
 

@@ -1,22 +1,24 @@
 """Steps of a stochastic policy, in environments that run on from one batch to the next."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from ailsrs_jax.components.policy import MlpPolicy
+from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
-from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis
+from ailsrs_jax.envs.physics import Segments
+from ailsrs_jax.envs.physics.base import LARGEST
+from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis, perceptrons_of
 
 
 class RunningEnvs(struct.PyTreeNode):
     """S environments, each in the middle of an episode."""
 
-    env_state: State  # (S, ...)
+    env_state: Any  # (S, ...), the State of a stepped environment, or what its simulator needs
     time: jax.Array  # (S,) int32, steps since each episode began
 
 
@@ -47,18 +49,13 @@ class Steps(struct.PyTreeNode):
         }
 
 
-def require_steps(env: Env, algorithm: str) -> None:
-    """Raise UserError unless ``env`` can be simulated step by step."""
-    if not hasattr(env, "step"):
-        raise UserError(
-            f"{algorithm} needs an environment that goes on from one batch of steps to the next, "
-            "and those of Gymnasium run whole episodes: use ailsrs, bc, ars or brs"
-        )
-
-
-def begin(env: Env, key: jax.Array, num_envs: int) -> RunningEnvs:
-    """Start ``num_envs`` episodes."""
-    env_state = jax.vmap(env.reset)(jax.random.split(key, num_envs))
+def begin(env: Any, key: jax.Array, num_envs: int, episode_length: int) -> RunningEnvs:
+    """Start ``num_envs`` episodes of at most ``episode_length`` steps."""
+    keys = jax.random.split(key, num_envs)
+    if _runs_segments(env):
+        env_state = env.begin_segments(jax.vmap(env.draw_start)(keys), episode_length)
+    else:
+        env_state = jax.vmap(env.reset)(keys)
     return RunningEnvs(env_state, jnp.zeros(num_envs, jnp.int32))
 
 
@@ -72,16 +69,29 @@ def collect(
 ) -> tuple[RunningEnvs, Steps]:
     """Make ``num_steps`` steps in each environment, with actions drawn from ``policy``.
 
-    An episode lasts at most ``episode_length`` steps, and a new one follows.
+    An episode lasts at most ``episode_length`` steps, and a new one follows. MuJoCo's C engine and
+    Gymnasium's worker processes make the steps of each environment without a pause; elsewhere all
+    are stepped together.
     """
     num_envs = len(episodes.time)
     shape = (num_envs, *policy.action_std.shape)
+
+    def draw(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the noise of a step, and keys of the episodes that may begin after it."""
+        noise_key, reset_key = jax.random.split(key)
+        noise = policy.action_std * jax.random.normal(noise_key, shape)
+        return noise, jax.random.split(reset_key, num_envs)
+
+    keys = jax.random.split(key, num_steps)
+    if _runs_segments(env):
+        noise, reset_keys = jax.vmap(draw)(keys)
+        episodes, steps = _run_segments(env, policy, episodes, noise, reset_keys, episode_length)
+        return episodes, _replace_diverged(steps)
     restart = _make_restart(env)
 
     def advance(episodes: RunningEnvs, key: jax.Array) -> tuple[RunningEnvs, Steps]:
-        noise_key, reset_key = jax.random.split(key)
+        noise, reset_keys = draw(key)
         env_state, time = episodes.env_state, episodes.time + 1
-        noise = policy.action_std * jax.random.normal(noise_key, shape)
         drawn_actions = jax.vmap(policy.unclipped)(env_state.obs) + noise
         actions = policy.clip(drawn_actions)
         next_state = jax.vmap(env.step)(env_state, actions)
@@ -100,11 +110,73 @@ def collect(
             copied=diverged,
         )
 
-        next_state = restart(over, jax.random.split(reset_key, num_envs), next_state)
+        next_state = restart(over, reset_keys, next_state)
         return RunningEnvs(next_state, jnp.where(over, 0, time)), steps
 
-    episodes, steps = jax.lax.scan(advance, episodes, jax.random.split(key, num_steps))
+    episodes, steps = jax.lax.scan(advance, episodes, keys)
     return episodes, _replace_diverged(steps)
+
+
+def _runs_segments(env: Env) -> bool:
+    """Whether ``env`` runs its episodes outside of JAX."""
+    return bool(getattr(env, "runs_episodes", False))
+
+
+def _run_segments(
+    env: Any,
+    policy: MlpPolicy,
+    episodes: RunningEnvs,
+    noise: jax.Array,
+    reset_keys: jax.Array,
+    episode_length: int,
+) -> tuple[RunningEnvs, Steps]:
+    """Let the environment go on by itself; see ``MujocoTask.run_segments``.
+
+    Args:
+        env: the environment.
+        policy: chooses the actions.
+        episodes: to go on with.
+        noise: ``(T, S, p)``.
+        reset_keys: ``(T, S)``, of the episodes that may begin after each step.
+        episode_length: the time limit.
+    """
+
+    @merge_vmapped_axis
+    def of_all(policies: MlpPolicy, states: Any, times: Any, keys: Any, noise: Any) -> Any:
+        starts = jax.vmap(jax.vmap(env.draw_start))(keys)
+        perceptrons = perceptrons_of(policies)
+        return env.run_segments(perceptrons, states, times, starts, noise, episode_length)
+
+    policies = repeated(policy, len(episodes.time))
+    by_env = jax.tree.map(lambda x: x.swapaxes(0, 1), (reset_keys, noise))
+    env_state, time, *of_steps = of_all(policies, episodes.env_state, episodes.time, *by_env)
+    segments, rewards = jax.tree.map(lambda x: x.swapaxes(0, 1), tuple(of_steps))
+    steps = Steps(
+        observations=segments.observations,
+        drawn_actions=policy.unclipped(segments.observations) + noise,
+        actions=segments.actions,
+        next_observations=segments.next_observations,
+        env_rewards=rewards,
+        terminated=segments.terminated,
+        over=segments.over,
+        diverged=segments.diverged | _ends_of_absurd(rewards, segments),
+        copied=segments.diverged,
+    )
+    return RunningEnvs(env_state, time), steps
+
+
+def _ends_of_absurd(rewards: jax.Array, segments: Segments) -> jax.Array:
+    """``(T, S)`` bool, the last steps of episodes with a reward that is not finite."""
+    # Comparisons with NaN are false.
+    absurd = ~segments.diverged & ~(jnp.abs(rewards) <= LARGEST)
+
+    def forwards(seen: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        absurd, over = step
+        seen = seen | absurd
+        return seen & ~over, seen & over
+
+    unfinished, ends = jax.lax.scan(forwards, absurd[0] & False, (absurd, segments.over))
+    return ends.at[-1].set(ends[-1] | unfinished)
 
 
 def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:

@@ -52,13 +52,14 @@ def stepped_like(env: MujocoTask) -> Any:
     return type("Stepped", (type(env),), {"runs_episodes": False})("mujoco")
 
 
+@pytest.mark.parametrize("limit", [LENGTH, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("env_id", TASKS)
-def test_they_are_gymnasiums_bit_for_bit(env_id: str) -> None:
+def test_they_are_gymnasiums_bit_for_bit(env_id: str, limit: int) -> None:
     env = make_env(env_id, "mujoco")
     assert env.runs_episodes
-    episodes = expert_episodes(env, 2)
+    episodes = expert_episodes(env, 2, limit)
     with without_warnings():
-        theirs = gymnasium.make(env_id, max_episode_steps=LENGTH).unwrapped
+        theirs = gymnasium.make(env_id, max_episode_steps=limit).unwrapped
     starts = draw_starts(env, 2)
     for i in range(2):
         theirs.reset(seed=0)
@@ -69,7 +70,7 @@ def test_they_are_gymnasiums_bit_for_bit(env_id: str) -> None:
             assert np.array_equal(episodes.observations[i, step], np.float32(observation)), step
             observation, reward, terminated, *_ = theirs.step(np.asarray(episodes.actions[i, step]))
             assert float(episodes.env_rewards[i, step]) == pytest.approx(reward, abs=5e-3)
-            assert terminated == (step + 1 == length < LENGTH)
+            assert terminated == (step + 1 == length < limit)
         assert np.array_equal(episodes.final_observations[i], np.float32(observation))
         assert not episodes.observations[i, length:].any()
         assert not episodes.env_rewards[i, length:].any()

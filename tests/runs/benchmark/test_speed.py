@@ -16,15 +16,19 @@ from ailsrs_jax.runs.benchmark.speed import Measurement, measure
 def test_stages_of_one_engine(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     done: Measurement = measure("HalfCheetah-v5", engine, 4, 20, 3)
-    assert [row.stage for row in done.rows] == ["bare", "rollout", "train"]
+    stages = ["bare", "simulate", "train"]
+    whole = ["limit"] if engine == "mujoco" else []
+    assert [row.stage for row in done.rows] == whole + stages
     for row in done.rows:
         assert (row.env, row.physics) == ("HalfCheetah-v5", engine)
         assert row.env_steps_per_s > 0
         assert row.peak_memory_mb > 100
         assert row.compile_s is not None
-    assert done.rows[1].utilization == (1.0 if engine == "mjx" else None)  # nobody falls
+    assert done.rows[-2].utilization == (1.0 if engine == "mjx" else None)  # nobody falls
     assert set(done.ratios) == {
-        f"HalfCheetah-v5 {engine} {stage} / bare" for stage in ("rollout", "train")
+        f"HalfCheetah-v5 {engine} {stage} / {base}"
+        for stage in stages[1:]
+        for base in (*whole, "bare")
     }
     assert all(ratio > 0 for ratio in done.ratios.values())
 
@@ -43,6 +47,7 @@ def test_a_measurement_that_fails_is_one_line() -> None:
 def test_gymnasium_is_stepped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers, "SECONDS", 0.05)
     assert peers.gymnasium_vector("Swimmer-v5") > 0
+    assert peers.gymnasium_workers("Swimmer-v5", 2, 20) > 0
 
 
 @pytest.mark.slow

@@ -1,0 +1,31 @@
+"""Models of MuJoCo, by their files."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import mujoco
+
+from ailsrs_jax.envs.physics.quiet import without_warnings
+from ailsrs_jax.errors import UserError
+
+
+def load_model(xml_file: str) -> mujoco.MjModel:
+    """Read one of Gymnasium's models by its file name, or your own by its path.
+
+    Raises:
+        UserError: the file does not exist, or MuJoCo cannot read it.
+    """
+    gymnasium = importlib.util.find_spec("gymnasium")
+    assert gymnasium is not None
+    assert gymnasium.submodule_search_locations is not None
+    assets = Path(gymnasium.submodule_search_locations[0], "envs", "mujoco", "assets")
+    is_path = xml_file.startswith((".", "~", os.sep))
+    path = Path(xml_file).expanduser() if is_path else assets / xml_file
+    if not path.is_file():
+        raise UserError(f"no model file {path}")
+    try:
+        with without_warnings():  # for example, that a model is outdated
+            return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise UserError(f"MuJoCo cannot read {path}: {str(error).splitlines()[0]}") from error

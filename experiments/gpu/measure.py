@@ -57,7 +57,7 @@ def run(task: str, tiny: bool, seeds: int, **settings: Any) -> tuple[list[Any], 
         num_trajectories=10,
         physics="mjx",
         seeds=tuple(range(seeds)),
-        settings=settings,
+        **settings,
         watch=lambda report: reports.append((time.perf_counter() - started, report)),
     )
     return reports, result

@@ -1,4 +1,6 @@
-import importlib.util
+import importlib.machinery
+import sys
+import types
 
 import jax
 import pytest
@@ -8,7 +10,9 @@ from ailsrs_jax.errors import UserError
 
 
 def with_warp(monkeypatch, installed: bool, backend: str) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object() if installed else None)
+    warp = types.ModuleType("warp")
+    warp.__spec__ = importlib.machinery.ModuleSpec("warp", None)
+    monkeypatch.setitem(sys.modules, "warp", warp if installed else None)
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
 
 

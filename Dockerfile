@@ -28,7 +28,7 @@ RUN apt-get update \
 COPY --from=wheel /dist /dist
 # This installs the wheel by its path; its metadata limit the versions of everything else.
 # hadolint ignore=DL3013
-RUN set -- /dist/*.whl && pip install --no-cache-dir "$1[cuda,export,imitation,minari]"
+RUN set -- /dist/*.whl && pip install --no-cache-dir "$1[cuda12,export,imitation,minari]"
 USER 1000
 WORKDIR /work
 ENTRYPOINT ["ailsrs"]

@@ -3,13 +3,17 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 
-.PHONY: train test lint docs peer clean
+.PHONY: train test test-matrix lint docs peer clean
 
 train: $(VENV)/installed
 	$(VENV)/bin/ailsrs train hopper $(ARGS)
 
 test: $(VENV)/installed
 	$(VENV)/bin/pytest $(ARGS)
+
+# The supported Pythons that are installed, each in a fresh environment.
+test-matrix:
+	tests/matrix.sh
 
 lint: $(VENV)/installed
 	$(VENV)/bin/ruff check

@@ -3,7 +3,10 @@
 import importlib
 import os
 
+from ailsrs_jax.versions import avoid_deadlock
+
 TYPE_CHECKING = False  # as type checkers know it; the module typing takes time to import
+
 if TYPE_CHECKING:
     from ailsrs_jax.data.demonstrations import Demonstrations as Demonstrations
     from ailsrs_jax.data.demonstrations import load_demonstrations as load_demonstrations
@@ -64,6 +67,7 @@ if TYPE_CHECKING:
 # XLA, as it takes a program from the cache, prints lines about processor features that only tell
 # the compiler what to prefer. It reads this as JAX is imported; errors are raised all the same.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+avoid_deadlock()
 
 # Where each public name lives. They are imported when first used: JAX takes seconds to import, and
 # the command line should answer before that.

@@ -1,21 +1,33 @@
-"""Refusal, in one line, of package versions that are known to fail in obscure ways."""
+"""Package versions that are known to fail in obscure ways: cured, or refused in one line."""
 
+import os
 from importlib.metadata import version
 
-# On CPUs jax 0.10 deadlocks when two independent batched LAPACK calls of some 900 matrices run in
-# one program, as they do in MJX (tests/envs/test_large_batch.py). Versions before 0.9 are untested.
-SUPPORTED_JAX = ("0.9.",)
+SUPPORTED_JAX = ("0.9.", "0.10.", "0.11.")
+SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
 
 
 class VersionError(ImportError):
     """A dependency has an unsupported version; the message says which version to install."""
 
 
+def avoid_deadlock() -> None:
+    """Turn off what makes jax 0.10 deadlock on CPUs, before it first computes and reads the flag.
+
+    There, two independent batched LAPACK calls of some 900 matrices in one program can wait for
+    each other for ever, as in MJX (tests/envs/test_large_batch.py). The flag is given to no other
+    version, because XLA ends a process with a flag that it does not know.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if version("jax").startswith("0.10.") and SCHEDULER not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {SCHEDULER}=false".strip()
+
+
 def require_supported() -> None:
     """Raise VersionError unless JAX is in the tested range and MuJoCo and MJX match."""
     jax, mujoco, mjx = version("jax"), version("mujoco"), version("mujoco-mjx")
     if not jax.startswith(SUPPORTED_JAX):
-        raise VersionError(f"ailsrs_jax is not tested with jax {jax}: pip install 'jax>=0.9,<0.10'")
+        raise VersionError(f"ailsrs_jax is not tested with jax {jax}: pip install 'jax>=0.9,<0.12'")
     if mujoco != mjx:
         raise VersionError(
             f"mujoco {mujoco} and mujoco-mjx {mjx} must be the same version: "

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.data.policies import load_policy
-from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import TASKS, make_env, resolve_env_id, short_name
 from ailsrs_jax.runs.evaluation import evaluate
 from tests.envs.test_gymnasium_agreement import gymnasium_steps, our_steps
 
+ENGINES = ("mjx", "mujoco")
 NUM_STEPS = 4000
 NUM_EPISODES = 100
 TRAINED_ON_MJX = "experiments/physics/swimmer_mjx/seed_0/policy.npz"

@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import pytest
 
 from ailsrs_jax import versions
@@ -14,15 +18,47 @@ def with_versions(monkeypatch: pytest.MonkeyPatch, **changes: str) -> None:
 def test_tested_versions_pass(monkeypatch) -> None:
     with_versions(monkeypatch)
     with_versions(monkeypatch, jax="0.9.0")
+    with_versions(monkeypatch, jax="0.10.2")
+    with_versions(monkeypatch, jax="0.11.2")
 
 
-@pytest.mark.parametrize("version", ["0.8.3", "0.10.0", "0.90.1", "1.0.0"])
+@pytest.mark.parametrize("version", ["0.8.3", "0.12.0", "0.90.1", "1.0.0"])
 def test_another_jax_is_refused_with_the_version_to_install(version: str, monkeypatch) -> None:
     with pytest.raises(versions.VersionError) as caught:
         with_versions(monkeypatch, jax=version)
-    assert str(caught.value).endswith(f"with jax {version}: pip install 'jax>=0.9,<0.10'")
+    assert str(caught.value).endswith(f"with jax {version}: pip install 'jax>=0.9,<0.12'")
 
 
 def test_mujoco_and_mjx_must_have_the_same_version(monkeypatch) -> None:
     with pytest.raises(versions.VersionError, match=r"same version: pip install mujoco==3\.17\.0$"):
         with_versions(monkeypatch, mujoco="4.0.0")
+
+
+@pytest.mark.parametrize(
+    ("jax", "flags", "expected"),
+    [
+        ("0.9.2", None, None),
+        ("0.11.2", "--one", "--one"),
+        ("0.10.2", None, f"{versions.SCHEDULER}=false"),
+        ("0.10.2", "--one", f"--one {versions.SCHEDULER}=false"),
+        ("0.10.2", f"{versions.SCHEDULER}=true", f"{versions.SCHEDULER}=true"),
+    ],
+)
+def test_the_deadlock_of_one_version_is_avoided(jax, flags, expected, monkeypatch) -> None:
+    monkeypatch.setattr(versions, "version", {"jax": jax}.__getitem__)
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    if flags is not None:
+        monkeypatch.setenv("XLA_FLAGS", flags)
+    versions.avoid_deadlock()
+    assert os.environ.get("XLA_FLAGS") == expected
+
+
+def test_the_flag_is_set_before_jax_starts() -> None:
+    """The installed version decides, in a process of its own."""
+    program = "import ailsrs_jax, os, sys; print('jax' in sys.modules, os.environ.get('XLA_FLAGS'))"
+    environment = {name: x for name, x in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    needed = versions.version("jax").startswith("0.10.")
+    assert done.stdout.split() == ["False", f"{versions.SCHEDULER}=false" if needed else "None"]

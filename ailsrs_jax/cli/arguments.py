@@ -21,8 +21,9 @@ PolicyPath = Positional[Annotated[Path, arg(metavar="DIR|POLICY")]]
 PhysicsName = Annotated[
     str,
     arg(
-        metavar="auto|mjx|mujoco",
-        help="mjx is pure JAX, mujoco the C engine; auto takes mjx if there is an accelerator.",
+        metavar="auto|mjx|mujoco|warp",
+        help="mjx is pure JAX, mujoco the C engine, warp MJX on NVIDIA's Warp; auto takes mjx if "
+        "there is an accelerator.",
     ),
 ]
 RealPhysicsName = Annotated[

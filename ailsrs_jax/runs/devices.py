@@ -12,7 +12,8 @@ from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.files import cache_directory
-from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
+from ailsrs_jax.trainers.parts.rollout import Simulator
+from ailsrs_jax.trainers.parts.sharing import AXIS
 
 # Simulations of a CPU core at a time. Larger batches use its vector units better. Smaller ones
 # leave fewer cores idle at the end of an iteration, when few episodes are left (measured by

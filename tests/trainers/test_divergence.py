@@ -20,7 +20,8 @@ from ailsrs_jax.trainers.behavior_cloning import BehaviorCloningSettings, make_b
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
 from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator, simulate
+from ailsrs_jax.trainers.parts.rollout import Simulator, simulate
+from ailsrs_jax.trainers.parts.sharing import AXIS
 from ailsrs_jax.trainers.trpo import TrpoSettings, make_trpo
 from tests.exploding import FINITE_STEPS, ExplodingPointMass, StiffSlider
 from tests.point_mass import EPISODE_LENGTH, PointMass, expert_policy

@@ -12,19 +12,25 @@ from ailsrs_jax.envs.physics.base import Segments as Segments
 from ailsrs_jax.envs.physics.base import Trajectories as Trajectories
 from ailsrs_jax.errors import UserError
 
-ENGINES = ("mjx", "mujoco")
+ENGINES = ("mjx", "mujoco", "warp")
 
 
 def choose_engine(requested: str) -> tuple[str, str]:
     """Resolve ``auto``; return the engine's name, and why it was chosen for people to read.
 
     Raises:
-        UserError: there is no such engine.
+        UserError: there is no such engine, or it cannot run here.
     """
+    if requested == "warp":
+        from ailsrs_jax.envs.physics.warp_engine import require_warp  # slow to import
+
+        require_warp()
     if requested in ENGINES:
         return requested, "as requested"
     if requested != "auto":
-        raise UserError(f"unknown physics '{requested}': use auto, {' or '.join(ENGINES)}")
+        raise UserError(
+            f"unknown physics '{requested}': use auto, {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
+        )
     backend = jax.default_backend()
     if backend == "cpu":
         return "mujoco", "no accelerator: MuJoCo's C engine, one thread per core"
@@ -43,6 +49,10 @@ def make_physics(
         from ailsrs_jax.envs.physics.mjx_engine import MjxPhysics  # slow to import
 
         return MjxPhysics(model, frame_skip, readings)
+    if name == "warp":
+        from ailsrs_jax.envs.physics.warp_engine import WarpPhysics
+
+        return WarpPhysics(model, frame_skip, readings)
     from ailsrs_jax.envs.physics.mujoco_engine import MujocoPhysics
 
     return MujocoPhysics(model, frame_skip, readings)

@@ -56,7 +56,7 @@ class MujocoTask(Env):
         """Load the model.
 
         Args:
-            physics: ``auto``, ``mjx`` or ``mujoco``.
+            physics: ``auto``, ``mjx``, ``mujoco`` or ``warp``.
             xml_file: the file name of one of Gymnasium's models, or the path of your own, which
                 begins with ``/``, ``.`` or ``~``.
             frame_skip: physics steps per environment step.

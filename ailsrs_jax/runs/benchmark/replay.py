@@ -12,7 +12,8 @@ import numpy as np
 from ailsrs_jax.envs.physics import InitialState, PhysicsState
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
-from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
+from ailsrs_jax.trainers.parts.rollout import Simulator
+from ailsrs_jax.trainers.parts.sharing import shared
 
 
 def bare(
@@ -32,10 +33,7 @@ def bare(
         return state.qpos
 
     if simulator.mesh is not None:
-        spec = jax.sharding.PartitionSpec(AXIS)
-        share = jax.shard_map(
-            share, mesh=simulator.mesh, in_specs=spec, out_specs=spec, check_vma=False
-        )
+        share = shared(share, simulator.mesh)
     replay, compile_s = compiled(share, initial, actions)
     return lambda: replay(initial, actions), compile_s
 

@@ -15,9 +15,8 @@ from ailsrs_jax.envs.gymnasium_env import GymnasiumStart
 from ailsrs_jax.envs.physics import InitialState, Perceptrons
 from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.episodes import Episodes, empty_episodes
+from ailsrs_jax.trainers.parts.sharing import AXIS, shared
 from ailsrs_jax.trainers.parts.slots import simulate_in_slots
-
-AXIS = "episodes"  # of a mesh of devices
 
 Starts = jax.Array | InitialState | GymnasiumStart
 
@@ -31,7 +30,7 @@ class Simulator:
     """
 
     env: Env
-    mesh: Mesh | None = None  # with the one axis :data:`AXIS`
+    mesh: Mesh | None = None  # with the one axis ``AXIS``
     batch_size: int | None = None
 
     @property
@@ -57,14 +56,23 @@ class Simulator:
         """Simulate one episode of each policy; see :func:`simulate`."""
         if self.mesh is None:
             return simulate(self.env, policies, starts, episode_length, self.batch_size, noise)
-        num_episodes = len(policies.mean)
-        # A batch that does not divide evenly is filled up with copies of its last episode.
-        index = jnp.minimum(
-            jnp.arange(-num_episodes % self.mesh.size + num_episodes), num_episodes - 1
-        )
-        inputs = (policies, starts, noise)
-        if len(index) > num_episodes:
-            inputs = jax.tree.map(lambda x: x[index], inputs)
+        mesh = self.mesh
+
+        # The merged axis of all seeds is shared: a vmapped jax.shard_map has empty arguments again.
+        @merge_vmapped_axis
+        def on_devices(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
+            num_episodes = len(policies.mean)
+            # A batch that does not divide evenly is filled up with copies of its last episode.
+            index = jnp.minimum(
+                jnp.arange(-num_episodes % mesh.size + num_episodes), num_episodes - 1
+            )
+            inputs = (policies, starts, noise)
+            if len(index) > num_episodes:
+                inputs = jax.tree.map(lambda x: x[index], inputs)
+            episodes = shared(share, mesh, specs)(*inputs)
+            if len(index) > num_episodes:
+                episodes = jax.tree.map(lambda x: x[:num_episodes] if x.ndim else x, episodes)
+            return episodes
 
         def share(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
             mine = simulate(self.env, policies, starts, episode_length, self.batch_size, noise)
@@ -72,15 +80,8 @@ class Simulator:
 
         part: Any = PartitionSpec(AXIS)
         whole: Any = PartitionSpec()
-        episodes = jax.shard_map(
-            share,
-            mesh=self.mesh,
-            in_specs=part,
-            out_specs=Episodes(part, part, part, part, part, part, slot_steps=whole),
-            check_vma=False,
-        )(*inputs)
-        if len(index) > num_episodes:
-            episodes = jax.tree.map(lambda x: x[:num_episodes] if x.ndim else x, episodes)
+        specs = Episodes(part, part, part, part, part, part, slot_steps=whole)
+        episodes: Episodes = on_devices(policies, starts, noise)
         return episodes.replace(mesh=self.mesh)
 
 

@@ -15,7 +15,8 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.trainers.ailsrs import Ailsrs, AilsrsSettings, make_ailsrs
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
-from ailsrs_jax.trainers.parts.rollout import AXIS, Simulator
+from ailsrs_jax.trainers.parts.rollout import Simulator
+from ailsrs_jax.trainers.parts.sharing import AXIS
 from tests.point_mass import (
     EPISODE_LENGTH,
     WIDE_ACTION,

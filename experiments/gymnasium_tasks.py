@@ -104,7 +104,7 @@ TASKS = {
         "gymnasium:LunarLanderContinuous-v3",
         lunar_lander,
         {"num_iterations": 30},
-        "the heuristic switches engines at thresholds and has other rules when a leg touches the ground",
+        "the heuristic switches engines at thresholds and has other rules on the ground",
     ),
     "dm_control": Task(
         "gymnasium:shimmy:dm_control/cartpole-balance-v0", cartpole, {"num_iterations": 2}

@@ -80,10 +80,10 @@ class Task(NamedTuple):
     env: str
     controller: Callable[[np.ndarray], np.ndarray] | dict[str, Any]  # settings of ARS train one
     settings: dict[str, Any]
-    reason: str = ""  # why a linear policy cannot do what the controller does
+    reason: str = ""  # in which way the controller is not linear
 
 
-ROTATES = "the controller multiplies observations (it rotates a force), and no linear policy can"
+ROTATES = "the controller rotates a force, so it multiplies observations with one another"
 TASKS = {
     "double_pendulum": Task(
         "gymnasium:InvertedDoublePendulum-v5", double_pendulum, {"num_iterations": 5}
@@ -144,7 +144,9 @@ def table() -> str:
         for name, row in results.items()
         if row["score"] < 0.9 and TASKS[name].reason
     ]
-    return "\n".join([*lines, "", "Why a linear policy scores less than 0.9:", "", *reasons])
+    return "\n".join(
+        [*lines, "", "Where the score is below 0.9, the controller is not linear:", "", *reasons]
+    )
 
 
 def measure(task: Task) -> dict[str, Any]:

@@ -75,7 +75,8 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", 2, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["policies"]
     assert [row["policy"] for row in rows] == ["run/seed_0/policy.npz", "run/seed_3/policy.npz"]
-    expected = evaluate(load_policy("run/seed_3/policy.npz"), 2, "gymnasium")
+    kept = load_policy("run/seed_3/policy.npz")
+    expected = evaluate(kept, 2, "gymnasium", episode_length=10)  # as in training
     assert rows[1]["return_mean"] == expected.mean
     assert rows[1]["physics"] == "gymnasium"
 

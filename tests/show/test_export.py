@@ -93,7 +93,7 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert printed == f"run is now in out, return {evaluation} over 2 episodes\n"
     for said in (
         "# AILSRS on Swimmer-v5",
-        f"| return | {evaluation} over 2 episodes (in Gymnasium, seed 0) |",
+        f"| return | {evaluation} over 2 episodes (in Gymnasium, at most 1000 steps, seed 0) |",
         "| algorithm | AILSRS, preset tuned |",
         "| seed | 3 |",
         f"| demonstrations | 4 of my demos.npz, every 20th step; SHA-256 {'0' * 64} |",

@@ -96,7 +96,7 @@ def kill_workers(rng: random.Random, directory: Path) -> Counts:
 
     def kill() -> None:
         nonlocal number
-        while not over.wait(rng.uniform(0.1, 1.0)):
+        while not over.wait(rng.uniform(1.0, 3.0)):  # three deaths at the start end a run
             if (directory / "run" / "metrics.csv").exists() and (mine := _children(process.pid)):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(rng.choice(mine), signal.SIGKILL)

@@ -67,7 +67,7 @@ def test_the_whole_loop(in_tmp_path: Path, monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", "3", "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)["policies"]
     assert (row["env_id"], row["physics"], row["length_mean"]) == (PENDULUM, "gymnasium", 30)
-    assert row["return_mean"] == pytest.approx(ail.evaluate(policy, 3).mean)
+    assert row["return_mean"] == pytest.approx(ail.evaluate(policy, 3, episode_length=30).mean)
     assert ailsrs(monkeypatch, "report", "run", "--episodes", "2") == 0
     assert "Not measured" not in Path("run/report.html").read_text()
     assert ailsrs(monkeypatch, "train", PENDULUM, "--workers", "0") == 2

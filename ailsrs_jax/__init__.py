@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from ailsrs_jax.sweeps.merge import merge_sweeps as merge_sweeps
     from ailsrs_jax.sweeps.sweep import sweep as sweep
     from ailsrs_jax.trainers.ailsrs import Ailsrs as Ailsrs
-    from ailsrs_jax.trainers.ailsrs import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.ailsrs import make_ailsrs as make_ailsrs
     from ailsrs_jax.trainers.algorithms import find_algorithm as find_algorithm
     from ailsrs_jax.trainers.algorithms import preset_settings as preset_settings
@@ -57,6 +56,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.trainers.gail import Gail as Gail
     from ailsrs_jax.trainers.gail import GailSettings as GailSettings
     from ailsrs_jax.trainers.gail import make_gail as make_gail
+    from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings as AilsrsSettings
     from ailsrs_jax.trainers.parts.rollout import Simulator as Simulator
     from ailsrs_jax.trainers.parts.trainer import Algorithm as Algorithm
     from ailsrs_jax.trainers.parts.trainer import Trainer as Trainer
@@ -73,7 +73,7 @@ avoid_deadlock()
 # the command line should answer before that.
 _HOMES = {
     "Ailsrs": "trainers.ailsrs",
-    "AilsrsSettings": "trainers.ailsrs",
+    "AilsrsSettings": "trainers.parts.ailsrs_settings",
     "Algorithm": "trainers.parts.trainer",
     "Animation": "show.video",
     "Ars": "trainers.ars",

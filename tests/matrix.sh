@@ -21,7 +21,7 @@ check() { # PYTHON JAX
     fi
     local bin=$work/venv/bin output=$work/run
     "$1" -m venv --clear "$work/venv"
-    "$bin/pip" install --quiet --disable-pip-version-check ".[minari,plot,video]" "$2" \
+    "$bin/pip" install --quiet --disable-pip-version-check ".[minari]" "$2" \
         ipykernel nbclient pytest pytest-timeout pytest-xdist
     for physics in mujoco mjx; do
         "$bin/ailsrs" train hopper --num-trajectories 1 --physics $physics --iterations 3 \

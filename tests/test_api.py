@@ -72,7 +72,9 @@ def test_type_checkers_and_python_find_the_same() -> None:
     for node in ast.walk(ast.parse(Path(ailsrs_jax.__file__).read_text())):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("ailsrs_jax."):
             checked |= {
-                alias.asname: node.module.removeprefix("ailsrs_jax.") for alias in node.names
+                alias.asname: node.module.removeprefix("ailsrs_jax.")
+                for alias in node.names
+                if alias.asname is not None  # what is exported
             }
     assert checked == ailsrs_jax._HOMES
     assert (Path(ailsrs_jax.__file__).parent / "py.typed").exists()

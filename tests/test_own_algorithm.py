@@ -61,9 +61,9 @@ def test_its_directions_are_orthogonal_and_its_weights_decay(my_file: Path) -> N
     settings = algorithm.settings(**SMALL)
     trainer = algorithm.make(PointMass(), ail.load_demonstrations("point_mass.npz"), settings)
     deltas = trainer.ask(jax.random.key(0))
-    assert deltas.shape == (2, 1, 2)
+    assert deltas.shape == (2, 1, 3)
     assert abs(float(deltas[0, 0] @ deltas[1, 0])) < 1e-5
-    state = trainer.init(jax.random.key(0)).replace(weights=np.ones((1, 2), np.float32))
+    state = trainer.init(jax.random.key(0)).replace(weights=np.ones((1, 3), np.float32))
     still = trainer.tell(state, deltas, np.zeros((2, 2), np.float32))
     np.testing.assert_allclose(still, 0.999)
 
@@ -99,7 +99,7 @@ MISTAKES = {
         "my_algorithm = 3\nother =",
         "is of type int",
     ),
-    "a wrong shape": ("* weights", "* weights[:1, :1]", "changes the shape or type"),
+    "a wrong shape": ("* weights", "* weights[:1, :1]", "must have equal types"),
 }
 
 

@@ -8,7 +8,7 @@ from flax import struct
 
 
 class LinearPolicy(struct.PyTreeNode):
-    """A linear policy of standardised observations, a = clip(M diag(Σ)^(−1/2) (s − μ)).
+    """A linear policy of standardised observations, a = clip(M diag(Σ)^(−1/2) (s − μ) + b).
 
     With leading axes on its leaves it is a batch of policies, as ``jax.vmap`` makes them.
     """
@@ -18,18 +18,21 @@ class LinearPolicy(struct.PyTreeNode):
     std: jax.Array  # (n,) the square root of Σ's diagonal
     action_low: jax.Array  # (p,)
     action_high: jax.Array  # (p,)
+    intercept: jax.Array | None = None  # (p,) b; None is zero, as in the paper
 
     def __call__(self, observation: jax.Array, noise: jax.Array | float = 0.0) -> jax.Array:
         """Return the action ``(p,)`` for an observation ``(n,)``: noise is added, then clipped."""
         # TF32 would give other actions than NumPy gives with the exported file.
         standardized = (observation - self.mean) / self.std
         action = jnp.matmul(self.weights, standardized, precision="highest")
+        action = action if self.intercept is None else action + self.intercept
         return jnp.clip(action + noise, self.action_low, self.action_high)
 
     @property
     def layers(self) -> "Layers":
         """Weights ``(out, in)`` and biases ``(out,)`` of each layer, as of :class:`MlpPolicy`."""
-        return (self.weights,), (jnp.zeros_like(self.action_low),)
+        bias = jnp.zeros_like(self.action_low) if self.intercept is None else self.intercept
+        return (self.weights,), (bias,)
 
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":
         """Return the batch of policies with these ``weights (B, p, n)`` and its statistics."""

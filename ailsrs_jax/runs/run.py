@@ -43,7 +43,7 @@ def train(
             ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.
         options: the other fields of :class:`~ailsrs_jax.runs.spec.RunSpec`, such as ``algorithm``,
             ``num_trajectories``, ``seeds`` and ``preset``, and settings of the algorithm, such as
-            those of :class:`~ailsrs_jax.trainers.ailsrs.AilsrsSettings`.
+            those of :class:`~ailsrs_jax.trainers.parts.ailsrs_settings.AilsrsSettings`.
 
     Raises:
         UserError: an argument is wrong, or most episodes of an iteration diverged.

@@ -70,8 +70,8 @@ def _memory_bytes(cell: Cell) -> int:
     """Apply the formula of docs/scaling.md for one device, and add the demonstrations."""
     spec, settings = cell.spec, _settings(cell)
     n, p = env_sizes(open_env(spec.env, spec.physics).env)
-    steps = settings.steps_per_iteration
-    num_policies = 2 * getattr(settings, "num_directions", 0)
+    steps = settings.steps_per_iteration // getattr(settings, "updates_per_iteration", 1)
+    num_policies = getattr(settings, "num_perturbed", 2 * getattr(settings, "num_directions", 0))
     numbers = steps * (n + p + 1) + num_policies * n * p
     running = getattr(settings, "standardize_with", "") == "running"
     running |= getattr(settings, "normalize_observations", False)  # of ARS

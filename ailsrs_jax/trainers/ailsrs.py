@@ -1,14 +1,15 @@
 """Adversarial imitation learning via random search (Shin and Kim, IJCNN 2019)."""
 
 import dataclasses
-from typing import Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from ailsrs_jax.components import normalizer, random_search
-from ailsrs_jax.components.linear_regression import ridge_regression
+from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory
@@ -17,54 +18,30 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
-from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.exploration import Exploration, explore
+from ailsrs_jax.trainers.parts.adversary import SCORES, Adversary, AdversaryState
+from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
+from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
-from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
-from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable, validate
+from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
+from ailsrs_jax.trainers.parts.settings import parse_entries, require_countable, validate
+from ailsrs_jax.trainers.parts.starts import draw_starts
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 Metrics = dict[str, jax.Array]
 
 
-@dataclasses.dataclass(frozen=True)
-class AilsrsSettings(AdversarySettings):
-    """Settings of :class:`Ailsrs`; the defaults are the paper's (Table I)."""
-
-    num_iterations: int = 100_000
-    num_directions: int = 320
-    num_top_directions: int = 320  #: the paper uses all
-    step_size: Positive = 0.02
-    final_step_size: float = 0.02  #: reached linearly at the last iteration
-    noise_std: Positive = 0.03
-    episode_length: int = 1000
-    memory_iterations: int = 1  #: the discriminator sees the policies of this many iterations
-    memory_samples: int = 4000  #: at least this many steps of each iteration are remembered
-    #: the worth of a step after an episode's end, as a share of the mean over its live steps: with
-    #: 1, the paper's, an episode is worth the mean over its live steps; with 0 their sum, over T
-    reward_after_end: UpToOne = 1.0
-    behavior_cloning_start: bool = False
-    standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
-    num_evaluation_episodes: int = 4
-    num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
-
-    @property
-    def steps_per_iteration(self) -> int:
-        """Environment steps that an iteration simulates at most."""
-        return (2 * self.num_directions + self.num_evaluation_episodes) * self.episode_length
-
-
 class TrainState(struct.PyTreeNode):
     """The state that one iteration hands to the next."""
 
-    weights: jax.Array  # (p, n)
+    weights: jax.Array  # (p, n + 1), the last column is the intercept
+    mean_weights: jax.Array  # (p, n + 1), mean of the iterates
     statistics: RunningStatistics  # what observations are standardised with
     adversary: AdversaryState
     memory: StepMemory  # discriminator inputs of recent policies
     kept: KeptPolicy  # closest to the expert so far, by energy distance
     key: jax.Array
     iteration: jax.Array  # () int32
+    num_updates: jax.Array  # () int32, steps of the search so far
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,91 +54,149 @@ class Ailsrs(Trainer):
 
     def init(self, key: jax.Array) -> TrainState:
         """Start with weights of zero and no statistics, as the paper does; or with a clone."""
-        settings = self.settings
+        settings, n = self.settings, self.env.observation_size
         key, network_key = jax.random.split(key)
-        statistics = normalizer.init(self.env.observation_size)
-        weights = jnp.zeros((self.env.action_size, self.env.observation_size))
+        statistics, weights = normalizer.init(n), jnp.zeros((self.env.action_size, n + 1))
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
             statistics = self.reference.statistics
         if settings.behavior_cloning_start:
-            expert = self.reference
-            weights = ridge_regression(expert.observations, expert.actions, expert.alive)
+            weights = self.clone()
         return TrainState(
             weights=weights,
+            mean_weights=weights,
             statistics=statistics,
             adversary=self.adversary.init(network_key),
             memory=empty_memory(
                 slots=settings.memory_iterations,
-                num_pairs=settings.num_directions,
+                num_pairs=settings.num_perturbed // 2,
                 steps_each=self._steps_each,
                 width=self.adversary.input_size,
             ),
             kept=keep(self.policy(weights, statistics)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
+            num_updates=jnp.zeros((), jnp.int32),
         )
 
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        """Run one iteration of the paper's Algorithm 2: ask, simulate, judge, tell.
+        """Run one iteration: evaluate the policy, then take a few steps of the search.
 
-        The unperturbed policy is evaluated in the same batch. Its episodes decide which policy is
-        kept, by their distance to the expert; neither search nor discriminator learn from them.
+        The evaluation decides which policy is kept, by its distance to the expert; neither search
+        nor discriminator learn from it.
         """
-        keys = jax.random.split(state.key, 6)
-        key, ask_key, reset_key, memory_key, adversary_key, distance_key = keys
-        policy = self.policy(state.weights, state.statistics)
-
-        deltas = self.ask(ask_key)
-        exploration = explore(self.simulator, policy, deltas, reset_key, self.settings)
-        memory = self.remember(state.memory, exploration, memory_key)
-        adversary, scores = self.adversary.train(state.adversary, adversary_key, memory.sample)
-        returns = exploration.pairs(self.judge(adversary, exploration.episodes))
-        weights = self.tell(state, deltas, returns)
-
-        evaluation = exploration.evaluation
-        distance = self.reference.distance(distance_key, evaluation, self.settings.episode_length)
-        metrics = {
+        settings = self.settings
+        key, updates_key, evaluation_key, distance_key = jax.random.split(state.key, 4)
+        policy = self.policy(state.mean_weights, state.statistics)
+        evaluation = self.simulator.evaluate(
+            policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
+        )
+        distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
+        evaluated = {
             "evaluation_return": evaluation.env_returns.mean(),
             "evaluation_length": evaluation.lengths.mean(),
             "expert_distance": distance,
-            "imitation_reward": _mean_of_finite(returns),
-            **scores,
-            **exploration.episodes.counts(),
+            **evaluation.counts(),
         }
-        state = TrainState(
+        kept = state.kept.offer(policy, -distance, state.iteration)
+        update_keys = jax.random.split(updates_key, settings.updates_per_iteration)
+        state, metrics = jax.lax.scan(self.search, state, update_keys)
+        state = state.replace(kept=kept, key=key, iteration=state.iteration + 1)
+        return state, with_evaluation(over_updates(metrics), evaluated)
+
+    def search(self, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
+        """Take one step of the search, the paper's Algorithm 2: ask, simulate, judge, tell."""
+        ask_key, start_key, memory_key, adversary_key = jax.random.split(key, 4)
+        # Not placed, XLA would share directions and returns as it does episodes, and gather them.
+        deltas = self.simulator.place(self.ask(ask_key))
+        episodes = self.simulate(state, deltas, start_key)
+        memory = self.remember(state.memory, episodes, memory_key)
+        adversary, scores = self.train_adversary(state, memory, adversary_key)
+        returns = self.simulator.place(self.judge(adversary, episodes))
+        weights = self.tell(state, deltas, returns)
+        decay = self.settings.averaging
+        metrics = {"imitation_reward": _mean_of_finite(returns), **scores, **episodes.counts()}
+        state = state.replace(
             weights=weights,
-            statistics=self.merge_states(state.statistics, exploration),
+            mean_weights=decay * state.mean_weights + (1.0 - decay) * weights,
+            statistics=self.merge_states(state.statistics, episodes),
             adversary=adversary,
             memory=memory,
-            kept=state.kept.offer(policy, -distance, state.iteration),
-            key=key,
-            iteration=state.iteration + 1,
+            num_updates=state.num_updates + 1,
         )
         return state, metrics
 
+    def clone(self) -> jax.Array:
+        """Return the weights ``(p, n + 1)`` of a clone of the expert."""
+        expert = self.reference
+        observations = expert.observations * self._mask[:-1]
+        if self.settings.intercept:
+            return affine_regression(observations, expert.actions, expert.alive)
+        weights = ridge_regression(observations, expert.actions, expert.alive)
+        return jnp.pad(weights, [(0, 0), (0, 1)])
+
     def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """Return the unperturbed policy, with the statistics frozen as they are."""
-        return LinearPolicy(weights, statistics.mean, statistics.std, *action_range(self.env))
+        """Return the policy of ``weights (p, n + 1)``, with the statistics frozen as they are."""
+        standard = statistics.mean, statistics.std, *action_range(self.env)
+        return LinearPolicy(weights[:, :-1], *standard, intercept=weights[:, -1])
+
+    def done(self, state: TrainState) -> jax.Array:
+        """Return which part of the search is done, from 0 at its first step to 1 at its last."""
+        last = self.settings.num_iterations * self.settings.updates_per_iteration - 1
+        # It stays 1 if ``update`` is called more often than planned.
+        return jnp.minimum(state.num_updates / max(last, 1), 1.0)
 
     def ask(self, key: jax.Array) -> jax.Array:
-        """Draw ``deltas (N, p, n)``, the directions in which the policy is perturbed."""
-        shape = self.env.action_size, self.env.observation_size
-        return random_search.sample_directions(key, self.settings.num_directions, shape)
+        """Draw ``deltas (N, p, n + 1)``, the directions in which the policy is perturbed."""
+        shape = self.env.action_size, self.env.observation_size + 1
+        deltas = random_search.sample_directions(key, self.settings.num_directions, shape)
+        return deltas * self._mask
 
-    def remember(self, memory: StepMemory, exploration: Exploration, key: jax.Array) -> StepMemory:
+    def starts(self, key: jax.Array) -> Starts:
+        """Draw the starts of the S episodes of each perturbed policy."""
+        settings = self.settings
+        num_drawn = settings.num_starts if settings.common_starts else settings.num_perturbed
+        share = settings.demonstrated_starts
+        starts = draw_starts(self.env, self.reference, key, num_drawn, share)
+        index = jnp.arange(settings.num_perturbed) % num_drawn
+        return jax.tree.map(lambda x: x[index], starts)
+
+    def simulate(self, state: TrainState, deltas: jax.Array, key: jax.Array) -> Episodes:
+        """Simulate the S episodes of each ``M + ν δ_i``, then those of each ``M − ν δ_i``."""
+        settings = self.settings
+        noise_std = settings.noise_std * settings.noise_decay ** self.done(state)
+        weights = random_search.perturb(state.weights, deltas, noise_std)
+        policies = jax.vmap(lambda weights: self.policy(weights, state.statistics))(weights)
+        policies = jax.tree.map(lambda x: jnp.repeat(x, settings.num_starts, axis=0), policies)
+        return self.simulator(policies, self.starts(key), settings.perturbed_length)
+
+    def remember(self, memory: StepMemory, episodes: Episodes, key: jax.Array) -> StepMemory:
         """Insert discriminator inputs of k random live steps of each perturbed policy."""
-        num_seen = self.adversary.num_seen(exploration.episodes.usable_lengths)[:, None]
-        shape = (2, self.settings.num_directions, self._steps_each)
-        fractions = jax.random.uniform(key, shape).reshape(-1, self._steps_each)
-        fractions = jnp.pad(fractions, [(exploration.num_evaluations, 0), (0, 0)])
+        num_seen = self.adversary.num_seen(episodes.usable_lengths)
+        fractions = jax.random.uniform(key, (len(num_seen), self._steps_each))
         # A fraction just below 1 can round up. Episodes without steps are never sampled, so time 0
         # is a safe placeholder.
-        time = jnp.minimum((fractions * num_seen).astype(jnp.int32), jnp.maximum(num_seen - 1, 0))
-        inputs = self.adversary.inputs(*exploration.episodes.steps_at(time))
-        return memory.insert(exploration.pairs(inputs), exploration.pairs(num_seen.squeeze(1)))
+        time = (fractions * num_seen[:, None]).astype(jnp.int32)
+        time = jnp.minimum(time, jnp.maximum(num_seen[:, None] - 1, 0))
+        inputs = self.adversary.inputs(*episodes.steps_at(time))
+        return memory.insert(inputs.reshape(2, -1, *inputs.shape[1:]), num_seen.reshape(2, -1))
+
+    def train_adversary(
+        self, state: TrainState, memory: StepMemory, key: jax.Array
+    ) -> tuple[AdversaryState, Metrics]:
+        """Train the discriminator on what is remembered; longer before the first step."""
+        rounds = jnp.where(state.num_updates == 0, self.settings.warmup_rounds, 1)
+        done = self.done(state)
+
+        def train(index: jax.Array, trained: tuple[AdversaryState, Metrics]) -> Any:
+            round_key = jax.random.fold_in(key, index)
+            return self.adversary.train(trained[0], round_key, memory.sample, done)
+
+        untrained = state.adversary, dict.fromkeys(SCORES, jnp.zeros(()))
+        result: tuple[AdversaryState, Metrics] = jax.lax.fori_loop(0, rounds, train, untrained)
+        return result
 
     def judge(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
-        """Return the imitation return ``(B,)`` of each episode, r̄ (ρ + (1 − ρ) L / T).
+        """Return the imitation returns ``(2, N)``, means of r̄ (ρ + (1 − ρ) L / T) over episodes.
 
         r̄ is the mean reward of its L live steps, and ρ the worth of those after its end. A mean
         over live steps does not see a fall. A sum of positive rewards pays a policy for standing
@@ -173,15 +208,14 @@ class Ailsrs(Trainer):
             num_seen,
         )
         worth = self.settings.reward_after_end
-        lasted = episodes.lengths / self.settings.episode_length
+        lasted = episodes.lengths / self.settings.perturbed_length
         returns = totals / num_seen * (worth + (1.0 - worth) * lasted)
-        return jnp.where(episodes.diverged, jnp.nan, returns)
+        returns = jnp.where(episodes.diverged, jnp.nan, returns)
+        return returns.reshape(2, -1, self.settings.num_starts).mean(axis=-1)
 
     def tell(self, state: TrainState, deltas: jax.Array, returns: jax.Array) -> jax.Array:
         """Step along the directions ``deltas`` that had the highest ``returns (2, N)``."""
-        settings = self.settings
-        # The step size stays at its last value if ``update`` is called more often than planned.
-        done = jnp.minimum(state.iteration / max(settings.num_iterations - 1, 1), 1.0)
+        settings, done = self.settings, self.done(state)
         return random_search.step(
             state.weights,
             deltas,
@@ -190,14 +224,11 @@ class Ailsrs(Trainer):
             num_top_directions=settings.num_top_directions,
         )
 
-    def merge_states(
-        self, statistics: RunningStatistics, exploration: Exploration
-    ) -> RunningStatistics:
-        """Merge the observations of this iteration into what the next one standardises with."""
+    def merge_states(self, statistics: RunningStatistics, episodes: Episodes) -> RunningStatistics:
+        """Merge the observations of this update into what the next one standardises with."""
         if self.settings.standardize_with == "expert":
             return statistics
-        observations = exploration.episodes.observations
-        return normalizer.update(statistics, observations, exploration.alive)
+        return normalizer.update(statistics, episodes.observations, episodes.usable)
 
     @property
     def adversary(self) -> Adversary:
@@ -205,9 +236,18 @@ class Ailsrs(Trainer):
         return Adversary(self.settings, self.reference)
 
     @property
+    def _mask(self) -> np.ndarray:
+        """``(n + 1,)``, 1 for the entries that the policy sees and for its intercept, else 0."""
+        size = self.env.observation_size
+        first, end = parse_entries(self.settings.policy_entries, size)
+        mask = np.zeros(size + 1, np.float32)
+        mask[first:end], mask[-1] = 1.0, self.settings.intercept
+        return mask
+
+    @property
     def _steps_each(self) -> int:
         """Steps remembered of each episode."""
-        return -(-self.settings.memory_samples // (2 * self.settings.num_directions))
+        return -(-self.settings.memory_samples // self.settings.num_perturbed)
 
 
 def make_ailsrs(
@@ -237,10 +277,13 @@ def make_ailsrs(
             f"reward_after_end is {settings.reward_after_end}: imitation_reward=airl, which is "
             "negative where the policy is told apart, would reward an early end; set it to 1"
         )
-    remembered = 2 * settings.num_directions * settings.memory_iterations
-    require_countable((remembered + settings.num_evaluation_episodes) * settings.episode_length)
+    remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
+    require_countable(remembered + settings.steps_per_iteration)
     reference = make_reference(
-        demonstrations, settings.episode_length, settings.num_distance_samples
+        demonstrations,
+        settings.episode_length,
+        settings.num_distance_samples,
+        settings.discriminator_entries,
     )
     Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

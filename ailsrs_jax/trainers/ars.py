@@ -16,7 +16,7 @@ from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts.exploration import explore
+from ailsrs_jax.trainers.parts.episodes import with_evaluation
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, require_countable, validate
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
@@ -75,40 +75,42 @@ class Ars(Trainer):
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
         """Run one iteration: perturb, simulate, step; then merge the observations."""
         settings = self.settings
-        key, noise_key, reset_key = jax.random.split(state.key, 3)
+        key, noise_key, reset_key, evaluation_key = jax.random.split(state.key, 4)
         policy = self.policy(state.weights, state.statistics)
         deltas = random_search.sample_directions(
             noise_key, settings.num_directions, state.weights.shape
         )
-        exploration = explore(self.simulator, policy, deltas, reset_key, settings)
-        episodes, evaluation = exploration.episodes, exploration.evaluation
-        returns = exploration.pairs(
-            episodes.env_returns - settings.survival_bonus * episodes.lengths
+        episodes = self.simulator(
+            policy.with_weights(random_search.perturb(state.weights, deltas, settings.noise_std)),
+            jax.random.split(reset_key, 2 * settings.num_directions),
+            settings.episode_length,
         )
+        evaluation = self.simulator.evaluate(
+            policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
+        )
+        returns = episodes.env_returns - settings.survival_bonus * episodes.lengths
         weights = random_search.step(
             state.weights,
             deltas,
-            *returns,
+            *returns.reshape(2, -1),
             step_size=settings.step_size,
             num_top_directions=settings.num_top_directions,
             scale_by_std=settings.scale_by_std,
         )
         evaluation_return = evaluation.env_returns.mean()
-        metrics = {
+        evaluated = {
             "evaluation_return": evaluation_return,
             "evaluation_length": evaluation.lengths.mean(),
-            **episodes.counts(),
+            **evaluation.counts(),
         }
         state = TrainState(
             weights=weights,
-            statistics=normalizer.update(
-                state.statistics, episodes.observations, exploration.alive
-            ),
+            statistics=normalizer.update(state.statistics, episodes.observations, episodes.usable),
             kept=state.kept.offer(policy, evaluation_return, state.iteration),
             key=key,
             iteration=state.iteration + 1,
         )
-        return state, metrics
+        return state, with_evaluation(episodes.counts(), evaluated)
 
     def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
         """Return the unperturbed policy, with the statistics frozen as they are."""

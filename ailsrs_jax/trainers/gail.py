@@ -26,12 +26,11 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     evaluate,
     gaussian_policy,
     make_actor_critic,
-    over_updates,
     require_batches,
-    with_evaluation,
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.parts.descent import descend
+from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps

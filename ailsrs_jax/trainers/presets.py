@@ -42,6 +42,25 @@ AILSRS: Presets = {
             "standardize_with": "expert",
             "num_evaluation_episodes": 16,
         },
+        # See experiments/search/README.md. The other 78 entries are contact forces.
+        "Ant-v5": {
+            "num_iterations": 24,
+            "updates_per_iteration": 4,
+            "num_directions": 60,
+            "num_top_directions": 20,
+            "step_size": 0.01,
+            "reward_after_end": 0.5,
+            "gradient_penalty_decay": 0.3,
+            "intercept": True,
+            "policy_entries": "0:27",
+            "discriminator_entries": "0:27",
+            "search_length": 200,
+            "demonstrated_starts": 0.8,
+            "common_starts": True,
+            "warmup_rounds": 67,
+            "averaging": 0.7,
+            "num_evaluation_episodes": 8,
+        },
         # No linear policy acts as this expert does in each state, but one can visit its states.
         "HalfCheetah-v5": {
             **_ENDLESS,

@@ -20,10 +20,9 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     evaluate,
     gaussian_policy,
     make_actor_critic,
-    over_updates,
     require_batches,
-    with_evaluation,
 )
+from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs
 from ailsrs_jax.trainers.parts.settings import validate

@@ -8,9 +8,10 @@ import pytest
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.iterations import iterate
-from ailsrs_jax.trainers.ailsrs import AilsrsSettings, make_ailsrs
+from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.ars import ArsSettings, make_ars
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
+from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.trpo import TrpoSettings, make_trpo
 from tests.point_mass import PointMass
 

@@ -3,12 +3,15 @@
 from typing import Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from flax import struct
 
 # Beyond this MuJoCo regards a simulation as unstable. Sums of its square still fit into float32.
 LARGEST = float(mujoco.mjMAXVAL)  # 1e10
+
+STATE = ("qpos", "qvel")  # the fields of ``mjData`` that every state has
 
 
 class Range(NamedTuple):
@@ -102,3 +105,17 @@ class Physics(Protocol):
         that MuJoCo finds unstable is not reset; its state becomes NaN sooner or later.
         """
         ...
+
+
+def read(physics_state: PhysicsState, part: Range) -> jax.Array:
+    """Return the numbers of ``part``, ``(k,)``."""
+    in_state = part.field in STATE
+    field = getattr(physics_state, part.field) if in_state else physics_state.readings[part.field]
+    return field.ravel()[part.first : part.end]
+
+
+def all_within(physics_state: PhysicsState, limits: tuple[Range, ...]) -> jax.Array:
+    """Whether all numbers are strictly within their limits, ``()`` bool."""
+    parts = [(read(physics_state, part), part) for part in limits]
+    within = [jnp.all((part.low < numbers) & (numbers < part.high)) for numbers, part in parts]
+    return jnp.all(jnp.array(within))

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from ailsrs_jax.envs.physics import PhysicsState, Range
-from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask, all_within
+from ailsrs_jax.envs.physics.base import all_within
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 
 
 @dataclasses.dataclass(eq=False, kw_only=True)

@@ -20,13 +20,12 @@ from ailsrs_jax.envs.physics import (
     Trajectories,
     make_physics,
 )
+from ailsrs_jax.envs.physics.base import STATE, all_within, read
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.model_file import load_model
 
 if TYPE_CHECKING:
     from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner
-
-STATE = ("qpos", "qvel")  # the fields of ``mjData`` that every state has
 
 
 class MujocoTask(Env):
@@ -79,9 +78,14 @@ class MujocoTask(Env):
     @functools.cached_property
     def observation_size(self) -> int:
         """Length n of an observation."""
+        return sum(self._observed_sizes)
+
+    @functools.cached_property
+    def _observed_sizes(self) -> list[int]:
+        """How many numbers each part of an observation has."""
         data = mujoco.MjData(self.physics.model)
         parts = self._observed()
-        return sum(len(getattr(data, part.field).ravel()[part.first : part.end]) for part in parts)
+        return [len(getattr(data, part.field).ravel()[part.first : part.end]) for part in parts]
 
     @property
     def action_size(self) -> int:
@@ -107,6 +111,17 @@ class MujocoTask(Env):
             qpos_key, self._initial_qpos.shape, minval=-noise, maxval=noise
         )
         return InitialState(qpos, self._initial_velocity(qvel_key))
+
+    def state_at(self, observation: jax.Array) -> InitialState:
+        """Return the state of ``observation (n,)``; what it lacks is as in the initial pose."""
+        state = {"qpos": self._initial_qpos, "qvel": jnp.zeros(self.physics.model.nv)}
+        first = 0
+        for part, size in zip(self._observed(), self._observed_sizes, strict=True):
+            if part.field in state:
+                numbers = observation[first : first + size]
+                state[part.field] = state[part.field].at[part.first : part.end].set(numbers)
+            first += size
+        return InitialState(**state)
 
     def reset(self, rng: jax.Array) -> State:
         """Start an episode at :meth:`draw_start` of the key ``rng``."""
@@ -283,17 +298,3 @@ class MujocoTask(Env):
 
     def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
         return physics_state.qpos[0]
-
-
-def read(physics_state: PhysicsState, part: Range) -> jax.Array:
-    """Return the numbers of ``part``, ``(k,)``."""
-    in_state = part.field in STATE
-    field = getattr(physics_state, part.field) if in_state else physics_state.readings[part.field]
-    return field.ravel()[part.first : part.end]
-
-
-def all_within(physics_state: PhysicsState, limits: tuple[Range, ...]) -> jax.Array:
-    """Whether all numbers are strictly within their limits, ``()`` bool."""
-    parts = [(read(physics_state, part), part) for part in limits]
-    within = [jnp.all((part.low < numbers) & (numbers < part.high)) for numbers, part in parts]
-    return jnp.all(jnp.array(within))

@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs.physics import InitialState
 from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
@@ -27,7 +28,6 @@ from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.exploration import explore, start_keys
 from ailsrs_jax.trainers.parts.rollout import Simulator
 
 
@@ -118,14 +118,15 @@ def measure(
         num_top_directions=min(preset.num_top_directions, num_directions),
         episode_length=episode_length,
     )
-    num_episodes = 2 * num_directions + settings.num_evaluation_episodes
-    simulator = _shared_evenly(choose_simulator(env), num_episodes)
+    simulator = _shared_evenly(choose_simulator(env), settings.num_perturbed)
     trainer = make_ailsrs(simulator, _demonstrations(env, env_id, engine), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
     update, update_compile_s = compiled(trainer.update, state)
     state, _ = update(state)
     key = jax.random.key(1)
-    starts = jax.jit(jax.vmap(env.draw_start))(start_keys(key, settings))
+    starts = trainer.starts(key)
+    if not isinstance(starts, InitialState):
+        starts = jax.jit(jax.vmap(env.draw_start))(starts)
     simulate, simulate_compile_s = compiled(_episodes(trainer, state, key))
     episodes = simulate()
     actions, lengths = np.asarray(episodes.actions), np.asarray(episodes.lengths)
@@ -218,14 +219,8 @@ def _shared_evenly(simulator: Simulator, num_episodes: int) -> Simulator:
 
 
 def _episodes(trainer: Ailsrs, state: TrainState, key: jax.Array) -> Callable[[], Episodes]:
-    """Return a program that simulates the episodes of an iteration."""
-
-    def simulate() -> Episodes:
-        policy = trainer.policy(state.weights, state.statistics)
-        deltas = trainer.ask(jax.random.key(2))
-        return explore(trainer.simulator, policy, deltas, key, trainer.settings).episodes
-
-    return simulate
+    """Return a program that simulates the perturbed policies of an update."""
+    return lambda: trainer.simulate(state, trainer.ask(jax.random.key(2)), key)
 
 
 def _peak_memory_mb() -> float:

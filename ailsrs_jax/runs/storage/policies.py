@@ -11,9 +11,24 @@ from ailsrs_jax.runs.storage.config import RunConfig
 
 
 def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:
-    """Return ``policy`` as NumPy arrays that can be saved."""
-    kind = SavedLinearPolicy if isinstance(policy, LinearPolicy) else SavedMlpPolicy
-    return kind(**vars(jax.tree.map(np.asarray, policy)), env_id=env_id)
+    """Return ``policy`` as NumPy arrays that can be saved.
+
+    An intercept b shifts the mean: M diag(Σ)^(−1/2) (s − μ') = M diag(Σ)^(−1/2) (s − μ) + b for
+    μ' = μ − diag(Σ)^(1/2) M⁺ b, if the rows of M are independent. If they are not, the policy is
+    saved as a perceptron of one layer.
+    """
+    fields = vars(jax.tree.map(np.asarray, policy))
+    if not isinstance(policy, LinearPolicy):
+        return SavedMlpPolicy(**fields, env_id=env_id)
+    weights, intercept = fields["weights"], fields.pop("intercept")
+    if intercept is not None and intercept.any():
+        shift = np.linalg.pinv(weights.astype(float)) @ intercept
+        if not np.allclose(weights @ shift, intercept, rtol=1e-4, atol=1e-4):
+            layer = {"weights": (weights,), "biases": (intercept,)}
+            still = np.zeros_like(intercept)
+            return SavedMlpPolicy(**(fields | layer), action_std=still, env_id=env_id)
+        fields["mean"] = fields["mean"] - fields["std"] * shift
+    return SavedLinearPolicy(**fields, env_id=env_id)
 
 
 def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:

@@ -21,7 +21,6 @@ from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, collect
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
-COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
 FISHER_STRIDE = 5  # the curvature is estimated from every fifth sample, the gradient from all
 
 
@@ -166,16 +165,6 @@ def collect_and_improve(
         statistics = normalizer.update(state.statistics, steps.observations, ~steps.copied)
         state = state.replace(statistics=statistics)
     return (state, running), steps, metrics | steps.counts()
-
-
-def over_updates(metrics: Metrics) -> Metrics:
-    """Combine the stacked metrics of several updates: sums of counts, means of the rest."""
-    return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
-
-
-def with_evaluation(metrics: Metrics, evaluated: Metrics) -> Metrics:
-    """Combine the ``metrics`` of an iteration's updates with those of its evaluation."""
-    return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
 
 
 def improve(

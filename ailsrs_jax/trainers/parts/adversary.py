@@ -17,11 +17,12 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import own_function
 from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference
-from ailsrs_jax.trainers.parts.settings import Positive, is_used
+from ailsrs_jax.trainers.parts.settings import Entries, Positive, PositiveUpToOne, UpToOne, is_used
 
 Sampler = Callable[[jax.Array, int], jax.Array]  # draws (batch, d) inputs of the policy's steps
 
 NETWORK = discriminator.Discriminator()
+SCORES = ("discriminator_loss", "policy_score", "expert_score")  # the metrics of training
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +35,11 @@ class AdversarySettings:
     discriminator_steps: int = 3
     discriminator_batch_size: int = 1000  #: from each side
     discriminator_entropy_bonus: float = 0.0  #: weight of the scores' entropy in the loss
+    discriminator_entries: Entries = "all"  #: of the observation, such as 0:27
     gradient_penalty: float = 0.0  #: weight of the penalty in the loss
+    gradient_penalty_decay: PositiveUpToOne = 1.0  #: the share of it that is left at the end
+    #: the gap between the scores of expert and policy that the penalty is controlled for; 0: none
+    score_gap: UpToOne = 0.0
     imitation_reward: Annotated[str, REWARDS] = "gail"  #: computed from the score
 
 
@@ -43,6 +48,7 @@ class AdversaryState(struct.PyTreeNode):
 
     parameters: Any  # Flax parameters
     optimizer: optax.OptState
+    penalty: jax.Array  # () weight of the gradient penalty, as it is controlled
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,14 +83,15 @@ class Adversary:
     def init(self, key: jax.Array) -> AdversaryState:
         """Return an untrained discriminator."""
         parameters = NETWORK.init(key, jnp.zeros(self.input_size))
-        return AdversaryState(parameters, self._adam.init(parameters))
+        penalty = jnp.asarray(self.settings.gradient_penalty, jnp.float32)
+        return AdversaryState(parameters, self._adam.init(parameters), penalty)
 
     def inputs(
         self, observations: jax.Array, actions: jax.Array, next_observations: jax.Array
     ) -> jax.Array:
         """Return inputs ``(..., d)`` for steps of a policy; arrays not seen are ignored."""
-        standardize = self.reference.standardize
-        return self._join(standardize(observations), actions, standardize(next_observations))
+        compared = self.reference.compared
+        return self._join(compared(observations), actions, compared(next_observations))
 
     def num_seen(self, lengths: jax.Array) -> jax.Array:
         """Return how many first steps ``(...)`` of episodes can be judged, at least one if any.
@@ -96,10 +103,24 @@ class Adversary:
         return jnp.maximum(lengths - 1, jnp.minimum(lengths, 1)) if pairs else lengths
 
     def train(
-        self, state: AdversaryState, key: jax.Array, sample: Sampler
+        self,
+        state: AdversaryState,
+        key: jax.Array,
+        sample: Sampler,
+        done: jax.Array | float = 0.0,
     ) -> tuple[AdversaryState, dict[str, jax.Array]]:
-        """Take ``discriminator_steps`` of Adam; return also the metrics of the last."""
+        """Take ``discriminator_steps`` of Adam; return also the metrics of the last.
+
+        Args:
+            state: before.
+            key: of the batches.
+            sample: draws inputs of the policy's steps.
+            done: which part of the training is done, from 0 to 1.
+        """
         settings, lengths = self.settings, self.num_seen(self.reference.lengths)
+        penalty = settings.gradient_penalty * settings.gradient_penalty_decay**done
+        if is_used(settings.score_gap):
+            penalty = state.penalty
         batch_size = settings.discriminator_batch_size
         loss_of_pairs = _find(LOSSES, settings.discriminator_loss)
         expert_steps = self._expert_inputs()
@@ -117,7 +138,7 @@ class Adversary:
                 penalties = discriminator.gradient_penalty(
                     logits, policy_inputs, expert_inputs, penalty_key
                 )
-                total += settings.gradient_penalty * penalties.mean()
+                total += penalty * penalties.mean()
             if is_used(settings.discriminator_entropy_bonus):
                 entropies = jax.tree.map(discriminator.entropy, (policy_logits, expert_logits))
                 bonus = ((entropies[0] + entropies[1]) / 2.0).mean()
@@ -129,8 +150,15 @@ class Adversary:
             }
 
         keys = jax.random.split(key, settings.discriminator_steps)
-        *trained, metrics = descend(self._adam, loss, state.parameters, state.optimizer, keys)
-        return AdversaryState(*trained), jax.tree.map(lambda x: x[-1], metrics)
+        parameters, optimizer, metrics = descend(
+            self._adam, loss, state.parameters, state.optimizer, keys
+        )
+        metrics = jax.tree.map(lambda x: x[-1], metrics)
+        gap = metrics["expert_score"] - metrics["policy_score"]
+        controlled = penalty * jnp.exp(2.0 * (gap - settings.score_gap))
+        lowest, highest = 0.03 * settings.gradient_penalty, settings.gradient_penalty
+        penalty = jnp.clip(controlled, lowest, highest)
+        return AdversaryState(parameters, optimizer, penalty), metrics
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:
         """Return rewards ``(...)`` of steps with these ``inputs (..., d)``."""
@@ -146,7 +174,7 @@ class Adversary:
 
     def _expert_inputs(self) -> jax.Array:
         """Return inputs ``(E, T, d)`` for the expert's steps."""
-        observations = self.reference.observations
+        observations = self.reference.compared_observations
         following = jnp.roll(observations, -1, axis=1)
         return self._join(observations, self.reference.actions, following)
 

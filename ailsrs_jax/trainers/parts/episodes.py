@@ -9,6 +9,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ailsrs_jax.components.policy import Policy
 
+COUNTS = ("env_steps", "episodes", "diverged")  # of the metrics
 SLICE_LENGTH = 50  # steps of all episodes that are judged together
 
 
@@ -32,6 +33,11 @@ class Episodes(struct.PyTreeNode):
     def usable_lengths(self) -> jax.Array:
         """``(B,)`` int32, steps to learn from; 0 for an episode that diverged."""
         return jnp.where(self.diverged, 0, self.lengths)
+
+    @property
+    def usable(self) -> jax.Array:
+        """``(B, T)`` bool, the steps to learn from."""
+        return jnp.arange(self.observations.shape[1]) < self.usable_lengths[:, None]
 
     @property
     def env_returns(self) -> jax.Array:
@@ -110,6 +116,18 @@ class Episodes(struct.PyTreeNode):
         if self.mesh is None:
             return array
         return jax.lax.with_sharding_constraint(array, NamedSharding(self.mesh, PartitionSpec()))
+
+
+def over_updates(metrics: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Combine the stacked metrics of several updates: sums of counts, means of the rest."""
+    return {name: x.sum() if name in COUNTS else x.mean() for name, x in metrics.items()}
+
+
+def with_evaluation(
+    metrics: dict[str, jax.Array], evaluated: dict[str, jax.Array]
+) -> dict[str, jax.Array]:
+    """Combine the ``metrics`` of an iteration's updates with those of its evaluation."""
+    return evaluated | metrics | {name: metrics[name] + evaluated[name] for name in COUNTS}
 
 
 def empty_episodes(policies: Policy, observations: jax.Array, episode_length: int) -> Episodes:

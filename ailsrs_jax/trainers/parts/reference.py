@@ -10,6 +10,7 @@ from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.settings import parse_entries
 
 
 class Reference(struct.PyTreeNode):
@@ -22,6 +23,8 @@ class Reference(struct.PyTreeNode):
     distance_features: jax.Array  # (m, n + p + 1), drawn once; without p if it is not known
     distance_spread: jax.Array  # () mean distance among them
     stride: int = struct.field(pytree_node=False)  # environment steps between its own
+    #: the first entry of an observation that is compared with the policy's, and the one after them
+    entries: tuple[int, int] = struct.field(pytree_node=False)
 
     def require_actions(self, what_for: str) -> None:
         """Raise UserError, which names ``what_for``, unless the expert's actions are known."""
@@ -41,6 +44,19 @@ class Reference(struct.PyTreeNode):
         """
         return standardize(self.statistics, observations)
 
+    def compared(self, observations: jax.Array) -> jax.Array:
+        """Return the compared entries of observations ``(..., n)``, standardised."""
+        return self.standardize(observations)[..., slice(*self.entries)]
+
+    @property
+    def compared_observations(self) -> jax.Array:
+        """The compared entries of the expert's observations, standardised, ``(E, T, ·)``."""
+        return self.observations[..., slice(*self.entries)]
+
+    def unstandardize(self, observations: jax.Array) -> jax.Array:
+        """Return standardised observations ``(..., n)`` in the environment's units."""
+        return observations * self.statistics.std + self.statistics.mean
+
     def distance(self, key: jax.Array, episodes: Episodes, episode_length: int) -> jax.Array:
         """Return the energy distance of ``episodes`` to the expert's.
 
@@ -54,15 +70,24 @@ class Reference(struct.PyTreeNode):
         num_samples = len(self.distance_features)
         # Actions are compared where the expert's are known.
         actions = episodes.actions[..., : self.actions.shape[-1]]
-        points = jnp.concatenate([self.standardize(episodes.observations), actions], axis=-1)
+        points = jnp.concatenate([self.compared(episodes.observations), actions], axis=-1)
         features = distance_features(key, points, episodes.usable_lengths, horizon, num_samples)
         return energy_distance(features, self.distance_features, self.distance_spread)
 
 
 def make_reference(
-    demonstrations: Demonstrations, episode_length: int, num_distance_samples: int
+    demonstrations: Demonstrations,
+    episode_length: int,
+    num_distance_samples: int,
+    entries: str = "all",
 ) -> Reference:
     """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
+
+    Args:
+        demonstrations: the expert's episodes.
+        episode_length: T.
+        num_distance_samples: steps that are compared for a distance.
+        entries: of the observations that are compared, ``all`` or ``first:end``.
 
     Raises:
         UserError: the demonstrations are subsampled, and an episode is too short for one step.
@@ -75,7 +100,8 @@ def make_reference(
     actions = jnp.zeros((*alive.shape, 0)) if actions is None else jnp.asarray(actions)
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
     observations = standardize(statistics, observations)
-    points = jnp.concatenate([observations, actions], axis=-1)
+    compared = parse_entries(entries, observations.shape[-1])
+    points = jnp.concatenate([observations[..., slice(*compared)], actions], axis=-1)
     stride = demonstrations.stride
     horizon = distance_horizon(points, stride, episode_length)
     if horizon < 1:
@@ -85,7 +111,7 @@ def make_reference(
         )
     features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
     spread = mean_distance(features, features)
-    return Reference(observations, actions, lengths, statistics, features, spread, stride)
+    return Reference(observations, actions, lengths, statistics, features, spread, stride, compared)
 
 
 def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
+from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy, repeated
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
 from ailsrs_jax.envs.gymnasium_env import GymnasiumStart
@@ -45,6 +45,11 @@ class Simulator:
         Without it XLA may leave a part of a state on each device.
         """
         return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec())
+
+    def place(self, tree: Any) -> Any:
+        """Copy the arrays of ``tree`` to all devices."""
+        sharding = self.everywhere
+        return tree if sharding is None else jax.lax.with_sharding_constraint(tree, sharding)
 
     def __call__(
         self,
@@ -83,6 +88,13 @@ class Simulator:
         specs = Episodes(part, part, part, part, part, part, slot_steps=whole)
         episodes: Episodes = on_devices(policies, starts, noise)
         return episodes.replace(mesh=self.mesh)
+
+    def evaluate(
+        self, policy: Policy, key: jax.Array, num_episodes: int, episode_length: int
+    ) -> Episodes:
+        """Simulate ``num_episodes`` episodes of one policy, from initial states of the task."""
+        policies, starts = repeated(policy, num_episodes), jax.random.split(key, num_episodes)
+        return self(policies, starts, episode_length)
 
 
 def as_simulator(env: Env | Simulator) -> Simulator:

@@ -6,6 +6,7 @@ negative; the types below say otherwise.
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -14,10 +15,12 @@ import numpy as np
 
 from ailsrs_jax.errors import UserError, did_you_mean
 
+FromZero = Annotated[int, "from 0"]
 Positive = Annotated[float, "positive"]
 UpToOne = Annotated[float, "at most 1"]
 PositiveUpToOne = Annotated[float, "positive", "at most 1"]
 Signed = Annotated[float, "signed"]
+Entries = Annotated[str, re.compile(r"all|\d+:\d+")]  # of an observation; see :func:`parse_entries`
 
 SettingsT = TypeVar("SettingsT")
 
@@ -73,6 +76,20 @@ def require_countable(num_steps: int) -> None:
         )
 
 
+def parse_entries(text: str, size: int) -> tuple[int, int]:
+    """Return the first entry and the one after the last, of an observation of ``size`` entries.
+
+    Raises:
+        UserError: there are no such entries.
+    """
+    if text == "all":
+        return 0, size
+    first, end = map(int, text.split(":"))
+    if not first < end <= size:
+        raise UserError(f"entries {text} are not among the {size} of an observation: use 0:{size}")
+    return first, end
+
+
 def is_used(weight: Any) -> bool:
     """Tell whether a term with this weight is computed; a traced weight is never 0."""
     return isinstance(weight, jax.core.Tracer) or weight != 0
@@ -115,9 +132,14 @@ def _problem(value: Any, kind: Any) -> str:
             return f"be {name}"
     if type_ is str:
         known = bounds[0]
+        if isinstance(known, re.Pattern):
+            return "" if known.fullmatch(value) else f"match {known.pattern}"
         return "" if value in known or ":" in value else f"be {_either(known)}"
     if type_ is int:
-        return "be at least 1" if value < 1 else "be below 2^31" if value >= 2**31 else ""
+        lowest = 0 if "from 0" in bounds else 1
+        if value < lowest:
+            return f"be at least {lowest}"
+        return "be below 2^31" if value >= 2**31 else ""
     if not math.isfinite(value):
         return "be finite"
     if "positive" in bounds and value <= 0:

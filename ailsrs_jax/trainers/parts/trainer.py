@@ -35,11 +35,7 @@ class Trainer(ABC):
 
     def train(self, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
         """Run all iterations as one function of a key, without an early end; stack the metrics."""
-
-        def place(tree: Any) -> Any:
-            sharding = self.simulator.everywhere
-            return tree if sharding is None else jax.lax.with_sharding_constraint(tree, sharding)
-
+        place = self.simulator.place
         return jax.lax.scan(
             lambda state, _: place(self.update(state)),
             place(self.init(key)),

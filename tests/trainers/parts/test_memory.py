@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ailsrs_jax.trainers.ailsrs import AilsrsSettings, make_ailsrs
+from ailsrs_jax.trainers.ailsrs import make_ailsrs
+from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from tests.point_mass import WIDE_ACTION as ACTIONS
 from tests.point_mass import WIDE_OBSERVATION as SIZE
 from tests.point_mass import WidePointMass, wide_demonstrations

@@ -7,7 +7,6 @@ from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.exploration import Exploration
 from ailsrs_jax.trainers.parts.rollout import simulate
 from tests.point_mass import PointMass
 
@@ -43,8 +42,7 @@ def test_against_a_plain_loop(limit: int, point_mass: PointMass) -> None:
         for buffer in (result.observations, result.actions, result.env_rewards):
             assert not buffer[index, length:].any()
     assert int(result.env_steps) == int(result.lengths.sum())
-    learned_from = Exploration(result, num_evaluations=1).alive.sum(axis=1)
-    np.testing.assert_array_equal(learned_from, [0, *result.lengths[1:]])
+    np.testing.assert_array_equal(result.usable.sum(axis=1), result.lengths)
     assert (int(result.lengths[1]) == limit) == (limit == 10)  # a push leaves the field after 10
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.trainers.ailsrs import AilsrsSettings
 from ailsrs_jax.trainers.ars import ArsSettings
+from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.settings import as_text, override, parse, validate
 
 GOOD: list[Any] = [

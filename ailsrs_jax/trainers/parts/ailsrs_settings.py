@@ -1,0 +1,58 @@
+"""The settings of AILSRS."""
+
+import dataclasses
+from typing import Literal
+
+from ailsrs_jax.trainers.parts.adversary import AdversarySettings
+from ailsrs_jax.trainers.parts.settings import Entries, FromZero, Positive, PositiveUpToOne, UpToOne
+
+
+@dataclasses.dataclass(frozen=True)
+class AilsrsSettings(AdversarySettings):
+    """Settings of :class:`~ailsrs_jax.trainers.ailsrs.Ailsrs`.
+
+    The defaults are the paper's (Table I).
+    """
+
+    num_iterations: int = 100_000
+    updates_per_iteration: int = 1  #: steps of the search between two evaluations
+    num_directions: int = 320
+    num_top_directions: int = 320  #: the paper uses all
+    step_size: Positive = 0.02
+    final_step_size: float = 0.02  #: reached linearly at the last iteration
+    noise_std: Positive = 0.03
+    noise_decay: PositiveUpToOne = 1.0  #: the share of ``noise_std`` that is left at the end
+    episode_length: int = 1000  #: the time limit of an evaluation
+    search_length: FromZero = 0  #: the time limit of a perturbed policy; 0: ``episode_length``
+    num_starts: int = 1  #: episodes of each perturbed policy in an update
+    common_starts: bool = False  #: all perturbed policies of an update start at the same states
+    demonstrated_starts: UpToOne = 0.0  #: the share of starts that are demonstrated states
+    warmup_rounds: int = 1  #: of ``discriminator_steps`` before the first step of the search
+    memory_iterations: int = 1  #: the discriminator sees the policies of this many updates
+    memory_samples: int = 4000  #: at least this many steps of each update are remembered
+    #: the worth of a step after an episode's end, as a share of the mean over its live steps: with
+    #: 1, the paper's, an episode is worth the mean over its live steps; with 0 their sum, over T
+    reward_after_end: UpToOne = 1.0
+    behavior_cloning_start: bool = False
+    intercept: bool = False  #: of the policy; it is cloned and searched, too
+    policy_entries: Entries = "all"  #: of the observation, such as 0:27
+    standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
+    averaging: UpToOne = 0.0  #: decay, each update, of the mean of the iterates; 0: the iterate
+    num_evaluation_episodes: int = 4
+    num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
+
+    @property
+    def perturbed_length(self) -> int:
+        """The time limit of a perturbed policy's episode, in environment steps."""
+        return min(self.search_length or self.episode_length, self.episode_length)
+
+    @property
+    def num_perturbed(self) -> int:
+        """Episodes of perturbed policies in an update."""
+        return 2 * self.num_directions * self.num_starts
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that an iteration simulates at most."""
+        search = self.updates_per_iteration * self.num_perturbed * self.perturbed_length
+        return search + self.num_evaluation_episodes * self.episode_length

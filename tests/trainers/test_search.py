@@ -1,0 +1,184 @@
+"""The parts of AILSRS that its paper does not have."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ailsrs_jax.components.policy import LinearPolicy
+from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.storage.policies import saved_policy
+from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
+from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
+from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
+
+SMALL = AilsrsSettings(
+    num_iterations=2,
+    num_directions=4,
+    num_top_directions=2,
+    episode_length=EPISODE_LENGTH,
+    discriminator_batch_size=32,
+    memory_samples=64,
+    num_distance_samples=100,
+    standardize_with="expert",
+)
+
+
+@pytest.fixture
+def changed(point_mass: PointMass, point_mass_expert: Demonstrations) -> Any:
+    """Makes a trainer with changed settings."""
+
+    def make(**changes: Any) -> Ailsrs:
+        settings = dataclasses.replace(SMALL, **changes)
+        return make_ailsrs(point_mass, point_mass_expert, settings)
+
+    return make
+
+
+def test_the_clone_has_an_intercept(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    shifted = point_mass_expert.replace(actions=point_mass_expert.actions + 0.3)
+    settings = dataclasses.replace(SMALL, behavior_cloning_start=True, intercept=True)
+    state = make_ailsrs(point_mass, shifted, settings).init(jax.random.key(0))
+    weights = state.weights[:, :-1] / state.statistics.std
+    intercept = state.weights[:, -1] - weights @ state.statistics.mean
+    np.testing.assert_allclose(weights, EXPERT_WEIGHTS, atol=0.1)
+    np.testing.assert_allclose(intercept, 0.3, atol=0.05)
+
+
+def test_only_entries_that_are_seen_are_searched(changed: Any) -> None:
+    trainer = changed(policy_entries="1:2", intercept=True)
+    deltas = trainer.ask(jax.random.key(0))
+    assert not deltas[..., 0].any()
+    assert deltas[..., 1:].all()
+    assert not changed().ask(jax.random.key(0))[..., -1].any()
+    with pytest.raises(UserError, match="entries 1:3 are not among the 2 of an observation"):
+        changed(discriminator_entries="1:3")
+
+
+def test_the_discriminator_sees_its_entries(changed: Any) -> None:
+    one, both = changed(discriminator_entries="1:2"), changed()
+    assert (one.adversary.input_size, both.adversary.input_size) == (2, 3)
+    observations = jax.random.normal(jax.random.key(0), (5, 2))
+    actions = jnp.zeros((5, 1))
+    seen, all_seen = (
+        trainer.adversary.inputs(observations, actions, observations) for trainer in (one, both)
+    )
+    np.testing.assert_array_equal(seen, all_seen[:, 1:])
+
+
+def test_starts_are_common_to_all_policies_of_an_update(changed: Any) -> None:
+    def first_observations(common: bool) -> np.ndarray:
+        trainer = changed(common_starts=common, num_starts=2, search_length=3)
+        state = trainer.init(jax.random.key(0))
+        episodes = trainer.simulate(state, trainer.ask(jax.random.key(1)), jax.random.key(2))
+        assert episodes.observations.shape == (16, 3, 2)
+        return np.asarray(episodes.observations[:, 0]).reshape(8, 2, 2)
+
+    apart, common = first_observations(False), first_observations(True)
+    assert len(np.unique(apart[..., 0])) == 16
+    assert len(np.unique(common[..., 0])) == 2
+    np.testing.assert_array_equal(common, np.tile(common[:1], (8, 1, 1)))
+
+
+def test_a_return_is_the_mean_over_the_starts(changed: Any) -> None:
+    trainer = changed(num_starts=2)
+    state = trainer.init(jax.random.key(0))
+    episodes = trainer.simulate(state, trainer.ask(jax.random.key(1)), jax.random.key(2))
+    one_each = dataclasses.replace(
+        trainer, settings=dataclasses.replace(trainer.settings, num_starts=1)
+    )
+    np.testing.assert_allclose(
+        trainer.judge(state.adversary, episodes),
+        one_each.judge(state.adversary, episodes).reshape(2, 4, 2).mean(axis=-1),
+        rtol=1e-6,
+    )
+
+
+def test_the_mean_of_the_iterates(changed: Any) -> None:
+    trainer = changed(averaging=0.75, num_iterations=5, updates_per_iteration=2)
+    update, state = jax.jit(trainer.search), trainer.init(jax.random.key(0))
+    mean = np.zeros((1, 3))
+    for key in jax.random.split(jax.random.key(1), 3):
+        state, _ = update(state, key)
+        mean = 0.75 * mean + 0.25 * np.asarray(state.weights)
+        np.testing.assert_allclose(state.mean_weights, mean, rtol=1e-5, atol=1e-7)
+    new_state, _ = jax.jit(trainer.update)(state)
+    kept = new_state.kept.policy
+    np.testing.assert_allclose(kept.weights, state.mean_weights[:, :-1], rtol=1e-6)
+
+
+def test_an_iteration_is_an_evaluation_and_several_updates(changed: Any) -> None:
+    trainer = changed(updates_per_iteration=3, num_evaluation_episodes=5, search_length=7)
+    state, metrics = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+    assert (int(state.iteration), int(state.num_updates)) == (1, 3)
+    assert int(metrics["episodes"]) == 3 * 8 + 5
+    assert int(metrics["env_steps"]) <= 3 * 8 * 7 + 5 * EPISODE_LENGTH
+    assert int(state.memory.lengths.max()) <= 7
+
+
+def test_noise_and_penalty_fall(changed: Any) -> None:
+    trainer = changed(
+        num_iterations=3, noise_std=0.2, noise_decay=0.25, search_length=1, common_starts=True
+    )
+    deltas = jnp.ones((4, 1, 3))
+    spreads = []
+    for num_updates in (0, 1, 2, 9):
+        state = trainer.init(jax.random.key(0)).replace(num_updates=jnp.array(num_updates))
+        actions = trainer.simulate(state, deltas, jax.random.key(1)).actions[:, 0, 0]
+        spreads.append(float(actions[0] - actions[-1]))
+    np.testing.assert_allclose(np.divide(spreads, spreads[0]), [1, 0.5, 0.25, 0.25], rtol=1e-3)
+
+
+def test_the_discriminator_is_trained_longer_before_the_first_step(changed: Any) -> None:
+    trainer = changed(warmup_rounds=50, discriminator_learning_rate=1e-3)
+    state, first = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+    assert int(state.adversary.optimizer[0].count) == 50 * SMALL.discriminator_steps
+    state, _ = jax.jit(trainer.update)(state)
+    assert int(state.adversary.optimizer[0].count) == 51 * SMALL.discriminator_steps
+    assert float(first["expert_score"]) > float(first["policy_score"]) + 0.1
+
+
+def test_the_penalty_is_controlled_by_the_gap_of_the_scores(changed: Any) -> None:
+    for gap, rises in ((0.9, False), (1e-6, True)):
+        trainer = changed(
+            score_gap=gap, gradient_penalty=10.0, warmup_rounds=20, discriminator_steps=10
+        )
+        state = trainer.init(jax.random.key(0))
+        lowered = state.adversary.replace(penalty=jnp.array(1.0))
+        state, metrics = jax.jit(trainer.update)(state.replace(adversary=lowered))
+        assert float(metrics["expert_score"]) > float(metrics["policy_score"])
+        assert (float(state.adversary.penalty) > 1.0) == rises
+        assert 0.29 < float(state.adversary.penalty) <= 10.0
+
+
+@pytest.mark.parametrize("singular", [False, True])
+def test_a_saved_policy_with_an_intercept_acts_the_same(singular: bool) -> None:
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=(3, 5)).astype(np.float32)
+    if singular:
+        weights[2] = weights[1]
+    intercept, mean = rng.normal(size=3), rng.normal(size=5)
+    policy = LinearPolicy(
+        *map(jnp.float32, (weights, mean, rng.uniform(0.5, 2.0, 5), -2 * np.ones(3), np.ones(3))),
+        intercept=jnp.float32(intercept),
+    )
+    saved = saved_policy(policy, "Swimmer-v5")
+    assert type(saved) is (SavedMlpPolicy if singular else SavedLinearPolicy)
+    assert not saved.is_stochastic
+    observations = rng.normal(size=(20, 5)).astype(np.float32)
+    np.testing.assert_allclose(
+        saved(observations), jax.vmap(policy)(observations), rtol=1e-4, atol=1e-5
+    )
+
+
+def test_a_saved_policy_without_an_intercept_is_the_policy() -> None:
+    policy = LinearPolicy(*map(jnp.ones, ((3, 5), 5, 5, 3, 3)), intercept=jnp.zeros(3))
+    saved = saved_policy(policy, "Swimmer-v5")
+    np.testing.assert_array_equal(saved.mean, policy.mean)

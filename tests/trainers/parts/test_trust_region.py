@@ -57,6 +57,7 @@ def test_gail_imitates(sees: str, point_mass: PointMass, point_mass_expert: Demo
     assert metrics["expert_distance"][-1] < 0.3 * metrics["expert_distance"][0]
 
 
+@pytest.mark.slow
 def test_gail_gets_there_without_a_penalty(
     point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:

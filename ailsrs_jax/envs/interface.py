@@ -66,8 +66,8 @@ def starts_at_observations(env: Any) -> bool:
     can = bool(getattr(env, "sets_observations", hasattr(env, "state_at")))
     if not can:
         logger.warning(
-            "%s cannot be put into a demonstrated state, so all episodes start with a reset; give "
-            "it a method set_observation(observation)",
+            "%s cannot be put into a demonstrated state, so all episodes start with a reset; an "
+            "environment of Gymnasium can if it has a method set_observation(observation)",
             getattr(env, "env_id", env_name(env)),
         )
     return can

@@ -9,7 +9,7 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components.linear_regression import ridge_regression
-from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep, repeated
+from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -96,11 +96,8 @@ class BehaviorCloning(Trainer):
         kept = state.kept.offer(policy, -validation_loss, state.iteration)
         waited = state.iteration - kept.iteration >= settings.patience
 
-        num_episodes = settings.num_evaluation_episodes
-        evaluation = self.simulator(
-            repeated(policy, num_episodes),
-            jax.random.split(reset_key, num_episodes),
-            settings.episode_length,
+        evaluation = self.simulator.evaluate(
+            policy, reset_key, settings.num_evaluation_episodes, settings.episode_length
         )
         metrics = {
             "evaluation_return": evaluation.env_returns.mean(),

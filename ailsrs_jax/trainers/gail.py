@@ -1,6 +1,7 @@
 """Generative adversarial imitation learning (Ho and Ermon, NeurIPS 2016), with TRPO."""
 
 import dataclasses
+import functools
 from typing import Annotated, Literal
 
 import jax
@@ -116,8 +117,9 @@ class Gail(Trainer):
         policy = gaussian_policy(self.env, state.actor_critic)
         evaluation, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
         distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
+        done = jnp.minimum(state.iteration / max(settings.num_iterations - 1, 1), 1.0)
         (actor_critic, running, adversary), metrics = jax.lax.scan(
-            self._take_turns,
+            functools.partial(self._take_turns, done),
             (state.actor_critic, state.running, state.adversary),
             jax.random.split(updates_key, settings.updates_per_iteration),
         )
@@ -137,8 +139,11 @@ class Gail(Trainer):
         """The discriminator's functions; its parameters are part of the state."""
         return Adversary(self.settings, self.reference)
 
-    def _take_turns(self, carry: Turn, key: jax.Array) -> tuple[Turn, Metrics]:
-        """Take some steps of the policy, then the discriminator's on the last of their batches."""
+    def _take_turns(self, done: jax.Array, carry: Turn, key: jax.Array) -> tuple[Turn, Metrics]:
+        """Take some steps of the policy, then the discriminator's on the last of their batches.
+
+        ``done`` is the part of the iterations that is done, from 0 to 1.
+        """
         actor_critic, running, adversary = carry
         policy_key, adversary_key = jax.random.split(key)
 
@@ -160,7 +165,10 @@ class Gail(Trainer):
         )
         latest = inputs[-1].reshape(-1, inputs.shape[-1])
         adversary, scores = self.adversary.train(
-            adversary, adversary_key, lambda key, size: jax.random.choice(key, latest, (size,))
+            adversary,
+            adversary_key,
+            lambda key, size: jax.random.choice(key, latest, (size,)),
+            done,
         )
         return (actor_critic, running, adversary), over_updates(metrics) | scores
 
@@ -202,7 +210,10 @@ def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: Ga
     validate(settings)
     require_batches(settings)
     reference = make_reference(
-        demonstrations, settings.episode_length, settings.num_distance_samples
+        demonstrations,
+        settings.episode_length,
+        settings.num_distance_samples,
+        settings.discriminator_entries,
     )
     Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

@@ -14,6 +14,7 @@ from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
+from ailsrs_jax.trainers.gail import GailSettings, make_gail
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
@@ -71,6 +72,30 @@ def test_the_discriminator_sees_its_entries(changed: Any) -> None:
         trainer.adversary.inputs(observations, actions, observations) for trainer in (one, both)
     )
     np.testing.assert_array_equal(seen, all_seen[:, 1:])
+
+
+def test_gail_has_the_discriminators_settings_too(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    settings = GailSettings(
+        num_iterations=3,
+        updates_per_iteration=1,
+        policy_steps=1,
+        num_envs=2,
+        batch_size=20,
+        episode_length=EPISODE_LENGTH,
+        discriminator_entries="1:2",
+        gradient_penalty=1.0,
+    )
+    states = []
+    for decay in (1.0, 0.01):
+        changed = dataclasses.replace(settings, gradient_penalty_decay=decay)
+        trainer = make_gail(point_mass, point_mass_expert, changed)
+        assert trainer.adversary.input_size == 2
+        last = trainer.init(jax.random.key(0)).replace(iteration=jnp.array(2))
+        states.append(jax.jit(trainer.update)(last)[0].adversary.parameters)
+    differences = jax.tree.map(lambda x, y: float(jnp.abs(x - y).max()), *states)
+    assert max(jax.tree.leaves(differences)) > 0
 
 
 def test_starts_are_common_to_all_policies_of_an_update(changed: Any) -> None:

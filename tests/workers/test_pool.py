@@ -136,7 +136,7 @@ def test_what_cannot_be_put_there_is_told_once(
     assert not GymnasiumEnv("InvertedDoublePendulum-v5", workers=1).sets_observations
     assert caplog.messages == [
         "gymnasium:Mass cannot be put into a demonstrated state, so all episodes start with a "
-        "reset; give it a method set_observation(observation)"
+        "reset; an environment of Gymnasium can if it has a method set_observation(observation)"
     ]
 
 

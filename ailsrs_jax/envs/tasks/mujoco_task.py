@@ -83,8 +83,7 @@ class MujocoTask(Env):
     @functools.cached_property
     def _observed_sizes(self) -> list[int]:
         """How many numbers each part of an observation has."""
-        data = mujoco.MjData(self.physics.model)
-        parts = self._observed()
+        data, parts = mujoco.MjData(self.physics.model), self._observed()
         return [len(getattr(data, part.field).ravel()[part.first : part.end]) for part in parts]
 
     @property
@@ -95,8 +94,7 @@ class MujocoTask(Env):
     @property
     def ends_early(self) -> bool:
         """Whether an episode can end before its time limit."""
-        overridden = type(self)._terminated is not MujocoTask._terminated
-        return overridden or len(self._limits()) > 0
+        return self._has_own("_terminated") or len(self._limits()) > 0
 
     @property
     def backend(self) -> str:
@@ -156,16 +154,18 @@ class MujocoTask(Env):
 
     @property
     def runs_episodes(self) -> bool:
-        """Whether :meth:`run_episodes` can be called.
+        """Whether :meth:`run_episodes` can be called: the C engine knows no subclass's methods."""
+        known = not self._has_own("reset", "start", "step", "_observation", "_terminated")
+        return self.physics.name == "mujoco" and known
 
-        It needs MuJoCo's C engine. A subclass may define the reward, the initial state,
-        ``_observed`` and ``_limits``; what it computes otherwise, only :meth:`step` knows.
-        """
-        methods = ("reset", "start", "step", "_observation", "_terminated")
-        theirs, ours = (
-            [getattr(task, name) for name in methods] for task in (type(self), MujocoTask)
-        )
-        return self.physics.name == "mujoco" and theirs == ours
+    @property
+    def sets_observations(self) -> bool:
+        """Whether :meth:`state_at` knows how observations are made."""
+        return not self._has_own("reset", "start", "_observation")
+
+    def _has_own(self, *methods: str) -> bool:
+        """Whether a subclass defines one of these methods."""
+        return any(getattr(type(self), name) is not getattr(MujocoTask, name) for name in methods)
 
     def run_episodes(
         self,
@@ -211,8 +211,7 @@ class MujocoTask(Env):
             policies: S policies.
             states: where the episodes are.
             times: ``(S,)`` int32, steps since each episode began.
-            restarts: ``(S, L)`` starts; the one of the step that ends an episode is the next
-                episode's.
+            restarts: ``(S, L)`` starts, one for an episode that begins after each step.
             noise: ``(S, L, p)``, added to the actions before they are clipped.
             episode_length: T, the time limit in environment steps.
 

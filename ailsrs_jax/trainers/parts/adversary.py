@@ -154,11 +154,13 @@ class Adversary:
             self._adam, loss, state.parameters, state.optimizer, keys
         )
         metrics = jax.tree.map(lambda x: x[-1], metrics)
-        gap = metrics["expert_score"] - metrics["policy_score"]
-        controlled = penalty * jnp.exp(2.0 * (gap - settings.score_gap))
-        lowest, highest = 0.03 * settings.gradient_penalty, settings.gradient_penalty
-        penalty = jnp.clip(controlled, lowest, highest)
-        return AdversaryState(parameters, optimizer, penalty), metrics
+        state = state.replace(parameters=parameters, optimizer=optimizer)
+        if is_used(settings.score_gap):
+            gap = metrics["expert_score"] - metrics["policy_score"]
+            controlled = penalty * jnp.exp(2.0 * (gap - settings.score_gap))
+            lowest, highest = 0.03 * settings.gradient_penalty, settings.gradient_penalty
+            state = state.replace(penalty=jnp.clip(controlled, lowest, highest))
+        return state, metrics
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:
         """Return rewards ``(...)`` of steps with these ``inputs (..., d)``."""

@@ -64,3 +64,13 @@ def test_an_environment_that_cannot_be_put_into_a_state_is_reset(point_mass: obj
         point_mass, reference_of(np.ones((1, 2, 2)), [2]), jax.random.key(0), 3, 0.5
     )
     assert jnp.issubdtype(starts.dtype, jax.dtypes.prng_key)
+
+
+def test_a_task_that_makes_its_observation_otherwise_is_reset() -> None:
+    class Doubled(type(make_env("swimmer", "mujoco"))):  # type: ignore[misc]
+        def _observation(self, physics_state):
+            return 2.0 * super()._observation(physics_state)
+
+    reference = reference_of(np.ones((1, 2, 8)), [2])
+    starts = draw_starts(Doubled(physics="mujoco"), reference, jax.random.key(0), 3, 0.5)
+    assert jnp.issubdtype(starts.dtype, jax.dtypes.prng_key)

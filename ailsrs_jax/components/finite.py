@@ -12,3 +12,15 @@ def finite_or(new: Tree, old: Tree) -> Tree:
     """Return ``new`` if all of its numbers are finite, else ``old``."""
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new)]).all()
     return jax.tree.map(lambda x, y: jnp.where(finite, x, y), new, old)
+
+
+def mean_of_finite(values: jax.Array) -> jax.Array:
+    """Return the mean of the values that are not NaN."""
+    mean = values.mean()
+    return jnp.where(jnp.isnan(mean), jnp.nanmean(values), mean)
+
+
+def in_units(values: jax.Array) -> jax.Array:
+    """Divide ``values`` by the standard deviation of those that are not NaN, unless it is 0."""
+    std = jnp.nanstd(values)
+    return values / jnp.where(std > 0.0, std, 1.0)

@@ -24,6 +24,19 @@ def sample_steps(
     return episodes, steps - (ends - lengths)[episodes]
 
 
+def sample_times(key: jax.Array, lengths: jax.Array, num_each: int) -> jax.Array:
+    """Draw ``(B, num_each)`` times of live steps of each episode, uniformly, with replacement.
+
+    Args:
+        key: randomness.
+        lengths: ``(B,)`` int32, live steps of each episode; where there are none, all times are 0.
+        num_each: how many to draw.
+    """
+    fractions = jax.random.uniform(key, (len(lengths), num_each))
+    time = (fractions * lengths[:, None]).astype(jnp.int32)
+    return jnp.minimum(time, jnp.maximum(lengths[:, None] - 1, 0))  # just below 1 can round up
+
+
 class StepMemory(struct.PyTreeNode):
     """A few steps of each episode of the last few iterations, one slot an iteration."""
 

@@ -5,29 +5,29 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from ailsrs_jax.components import normalizer, random_search
-from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
+from ailsrs_jax.components.finite import in_units, mean_of_finite
 from ailsrs_jax.components.normalizer import RunningStatistics
-from ailsrs_jax.components.policy import KeptPolicy, LinearPolicy, keep
-from ailsrs_jax.components.sampling import StepMemory, empty_memory
+from ailsrs_jax.components.policy import KeptPolicy, keep
+from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_times
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.adversary import SCORES, Adversary, AdversaryState
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
+from ailsrs_jax.trainers.parts.policy_space import PolicySpace
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
-from ailsrs_jax.trainers.parts.settings import parse_entries, require_countable, validate
+from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
 from ailsrs_jax.trainers.parts.starts import draw_starts
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 Metrics = dict[str, jax.Array]
+SAMPLES_OF_A_RETURN = 250  # steps of a policy that its energy distance is estimated from
 
 
 class TrainState(struct.PyTreeNode):
@@ -54,13 +54,14 @@ class Ailsrs(Trainer):
 
     def init(self, key: jax.Array) -> TrainState:
         """Start with weights of zero and no statistics, as the paper does; or with a clone."""
-        settings, n = self.settings, self.env.observation_size
+        settings = self.settings
         key, network_key = jax.random.split(key)
-        statistics, weights = normalizer.init(n), jnp.zeros((self.env.action_size, n + 1))
+        statistics = normalizer.init(self.env.observation_size)
+        weights = jnp.zeros(self.space.shape)
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
             statistics = self.reference.statistics
         if settings.behavior_cloning_start:
-            weights = self.clone()
+            weights = self.space.clone()
         return TrainState(
             weights=weights,
             mean_weights=weights,
@@ -72,7 +73,7 @@ class Ailsrs(Trainer):
                 steps_each=self._steps_each,
                 width=self.adversary.input_size,
             ),
-            kept=keep(self.policy(weights, statistics)),
+            kept=keep(self.space.policy(weights, statistics)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
             num_updates=jnp.zeros((), jnp.int32),
@@ -86,7 +87,7 @@ class Ailsrs(Trainer):
         """
         settings = self.settings
         key, updates_key, evaluation_key, distance_key = jax.random.split(state.key, 4)
-        policy = self.policy(state.mean_weights, state.statistics)
+        policy = self.space.policy(state.mean_weights, state.statistics)
         evaluation = self.simulator.evaluate(
             policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
         )
@@ -98,6 +99,13 @@ class Ailsrs(Trainer):
             **evaluation.counts(),
         }
         kept = state.kept.offer(policy, -distance, state.iteration)
+        if is_used(settings.recentre_beyond):
+            is_far = distance > settings.recentre_beyond * -kept.score
+            center = self.space.weights(kept.policy)
+            state = state.replace(
+                weights=jnp.where(is_far, center, state.weights),
+                mean_weights=jnp.where(is_far, center, state.mean_weights),
+            )
         update_keys = jax.random.split(updates_key, settings.updates_per_iteration)
         state, metrics = jax.lax.scan(self.search, state, update_keys)
         state = state.replace(kept=kept, key=key, iteration=state.iteration + 1)
@@ -105,16 +113,16 @@ class Ailsrs(Trainer):
 
     def search(self, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
         """Take one step of the search, the paper's Algorithm 2: ask, simulate, judge, tell."""
-        ask_key, start_key, memory_key, adversary_key = jax.random.split(key, 4)
+        ask_key, start_key, memory_key, adversary_key, distance_key = jax.random.split(key, 5)
         # Not placed, XLA would share directions and returns as it does episodes, and gather them.
         deltas = self.simulator.place(self.ask(ask_key))
         episodes = self.simulate(state, deltas, start_key)
         memory = self.remember(state.memory, episodes, memory_key)
         adversary, scores = self.train_adversary(state, memory, adversary_key)
-        returns = self.simulator.place(self.judge(adversary, episodes))
+        returns = self.simulator.place(self.judge(adversary, episodes, distance_key))
         weights = self.tell(state, deltas, returns)
         decay = self.settings.averaging
-        metrics = {"imitation_reward": _mean_of_finite(returns), **scores, **episodes.counts()}
+        metrics = {"imitation_reward": mean_of_finite(returns), **scores, **episodes.counts()}
         state = state.replace(
             weights=weights,
             mean_weights=decay * state.mean_weights + (1.0 - decay) * weights,
@@ -125,20 +133,6 @@ class Ailsrs(Trainer):
         )
         return state, metrics
 
-    def clone(self) -> jax.Array:
-        """Return the weights ``(p, n + 1)`` of a clone of the expert."""
-        expert = self.reference
-        observations = expert.observations * self._mask[:-1]
-        if self.settings.intercept:
-            return affine_regression(observations, expert.actions, expert.alive)
-        weights = ridge_regression(observations, expert.actions, expert.alive)
-        return jnp.pad(weights, [(0, 0), (0, 1)])
-
-    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """Return the policy of ``weights (p, n + 1)``, with the statistics frozen as they are."""
-        standard = statistics.mean, statistics.std, *action_range(self.env)
-        return LinearPolicy(weights[:, :-1], *standard, intercept=weights[:, -1])
-
     def done(self, state: TrainState) -> jax.Array:
         """Return which part of the search is done, from 0 at its first step to 1 at its last."""
         last = self.settings.num_iterations * self.settings.updates_per_iteration - 1
@@ -147,9 +141,8 @@ class Ailsrs(Trainer):
 
     def ask(self, key: jax.Array) -> jax.Array:
         """Draw ``deltas (N, p, n + 1)``, the directions in which the policy is perturbed."""
-        shape = self.env.action_size, self.env.observation_size + 1
-        deltas = random_search.sample_directions(key, self.settings.num_directions, shape)
-        return deltas * self._mask
+        num, shape = self.settings.num_directions, self.space.shape
+        return random_search.sample_directions(key, num, shape) * self.space.searched
 
     def starts(self, key: jax.Array) -> Starts:
         """Draw the starts of the S episodes of each perturbed policy."""
@@ -165,18 +158,14 @@ class Ailsrs(Trainer):
         settings = self.settings
         noise_std = settings.noise_std * settings.noise_decay ** self.done(state)
         weights = random_search.perturb(state.weights, deltas, noise_std)
-        policies = jax.vmap(lambda weights: self.policy(weights, state.statistics))(weights)
+        policies = jax.vmap(lambda weights: self.space.policy(weights, state.statistics))(weights)
         policies = jax.tree.map(lambda x: jnp.repeat(x, settings.num_starts, axis=0), policies)
         return self.simulator(policies, self.starts(key), settings.perturbed_length)
 
     def remember(self, memory: StepMemory, episodes: Episodes, key: jax.Array) -> StepMemory:
         """Insert discriminator inputs of k random live steps of each perturbed policy."""
         num_seen = self.adversary.num_seen(episodes.usable_lengths)
-        fractions = jax.random.uniform(key, (len(num_seen), self._steps_each))
-        # A fraction just below 1 can round up. Episodes without steps are never sampled, so time 0
-        # is a safe placeholder.
-        time = (fractions * num_seen[:, None]).astype(jnp.int32)
-        time = jnp.minimum(time, jnp.maximum(num_seen[:, None] - 1, 0))
+        time = sample_times(key, num_seen, self._steps_each)
         inputs = self.adversary.inputs(*episodes.steps_at(time))
         return memory.insert(inputs.reshape(2, -1, *inputs.shape[1:]), num_seen.reshape(2, -1))
 
@@ -195,23 +184,39 @@ class Ailsrs(Trainer):
         result: tuple[AdversaryState, Metrics] = jax.lax.fori_loop(0, rounds, train, untrained)
         return result
 
-    def judge(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
-        """Return the imitation returns ``(2, N)``, means of r̄ (ρ + (1 − ρ) L / T) over episodes.
+    def judge(self, adversary: AdversaryState, episodes: Episodes, key: jax.Array) -> jax.Array:
+        """Return the imitation returns ``(2, N)`` of the perturbed policies.
 
-        r̄ is the mean reward of its L live steps, and ρ the worth of those after its end. A mean
-        over live steps does not see a fall. A sum of positive rewards pays a policy for standing
-        still. Between the two, both lose. The return of an episode that diverged is NaN.
+        A return is the mean of r̄ (ρ + (1 − ρ) L / T) over the policy's episodes: r̄ is the mean
+        reward of the L live steps, and ρ the worth of those after the end. A mean over live steps
+        does not see a fall. A sum of positive rewards pays a policy for standing still. Between the
+        two, both lose. The return of an episode that diverged is NaN.
+
+        A share of the return can be the energy distance of the policy's episodes to the expert's.
+        Both parts are then divided by their standard deviation over the policies.
         """
+        settings = self.settings
         num_seen = self.adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
             lambda *steps: self.adversary.rewards(adversary, self.adversary.inputs(*steps)),
             num_seen,
         )
-        worth = self.settings.reward_after_end
-        lasted = episodes.lengths / self.settings.perturbed_length
+        worth = settings.reward_after_end
+        lasted = episodes.lengths / settings.perturbed_length
         returns = totals / num_seen * (worth + (1.0 - worth) * lasted)
         returns = jnp.where(episodes.diverged, jnp.nan, returns)
-        return returns.reshape(2, -1, self.settings.num_starts).mean(axis=-1)
+        returns = returns.reshape(2, -1, settings.num_starts).mean(axis=-1)
+        if not is_used(settings.energy_share):
+            return returns
+        distances = self.reference.distances(
+            key,
+            episodes,
+            settings.perturbed_length,
+            num_groups=2 * settings.num_directions,
+            num_samples=SAMPLES_OF_A_RETURN,
+        )
+        share = settings.energy_share
+        return (1.0 - share) * in_units(returns) - share * in_units(distances.reshape(2, -1))
 
     def tell(self, state: TrainState, deltas: jax.Array, returns: jax.Array) -> jax.Array:
         """Step along the directions ``deltas`` that had the highest ``returns (2, N)``."""
@@ -231,18 +236,14 @@ class Ailsrs(Trainer):
         return normalizer.update(statistics, episodes.observations, episodes.usable)
 
     @property
+    def space(self) -> PolicySpace:
+        """The policies that the search can reach."""
+        return PolicySpace(self.env, self.settings, self.reference)
+
+    @property
     def adversary(self) -> Adversary:
         """The discriminator's functions; its parameters are part of the state."""
         return Adversary(self.settings, self.reference)
-
-    @property
-    def _mask(self) -> np.ndarray:
-        """``(n + 1,)``, 1 for the entries that the policy sees and for its intercept, else 0."""
-        size = self.env.observation_size
-        first, end = parse_entries(self.settings.policy_entries, size)
-        mask = np.zeros(size + 1, np.float32)
-        mask[first:end], mask[-1] = 1.0, self.settings.intercept
-        return mask
 
     @property
     def _steps_each(self) -> int:
@@ -277,6 +278,11 @@ def make_ailsrs(
             f"reward_after_end is {settings.reward_after_end}: imitation_reward=airl, which is "
             "negative where the policy is told apart, would reward an early end; set it to 1"
         )
+    if settings.recentre_beyond and settings.standardize_with == "running":
+        raise UserError(
+            "recentre_beyond needs standardize_with=expert: running statistics have changed what "
+            "the weights of the kept policy do"
+        )
     remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
     require_countable(remembered + settings.steps_per_iteration)
     reference = make_reference(
@@ -292,8 +298,3 @@ def make_ailsrs(
 
 
 AILSRS = Algorithm("AILSRS", make_ailsrs, AilsrsSettings, presets.AILSRS, shares_devices=True)
-
-
-def _mean_of_finite(returns: jax.Array) -> jax.Array:
-    mean = returns.mean()
-    return jnp.where(jnp.isnan(mean), jnp.nanmean(returns), mean)

@@ -10,6 +10,7 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer, trust_region
+from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.discriminator import LOSSES
 from ailsrs_jax.components.policy import KeptPolicy, keep, perceptron
 from ailsrs_jax.components.sampling import sample_steps
@@ -30,7 +31,6 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     require_batches,
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
-from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator

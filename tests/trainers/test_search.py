@@ -120,8 +120,8 @@ def test_a_return_is_the_mean_over_the_starts(changed: Any) -> None:
         trainer, settings=dataclasses.replace(trainer.settings, num_starts=1)
     )
     np.testing.assert_allclose(
-        trainer.judge(state.adversary, episodes),
-        one_each.judge(state.adversary, episodes).reshape(2, 4, 2).mean(axis=-1),
+        trainer.judge(state.adversary, episodes, jax.random.key(3)),
+        one_each.judge(state.adversary, episodes, jax.random.key(3)).reshape(2, 4, 2).mean(axis=-1),
         rtol=1e-6,
     )
 
@@ -207,3 +207,35 @@ def test_a_saved_policy_without_an_intercept_is_the_policy() -> None:
     policy = LinearPolicy(*map(jnp.ones, ((3, 5), 5, 5, 3, 3)), intercept=jnp.zeros(3))
     saved = saved_policy(policy, "Swimmer-v5")
     np.testing.assert_array_equal(saved.mean, policy.mean)
+
+
+def test_the_energy_distance_is_a_share_of_the_return(changed: Any) -> None:
+    def returns(share: float) -> np.ndarray:
+        trainer = changed(energy_share=share, num_starts=2, behavior_cloning_start=True)
+        state = trainer.init(jax.random.key(0))
+        far = jnp.zeros((4, 1, 3)).at[0, 0].set(jnp.array([30.0, 10.0, 0.0]))
+        episodes = trainer.simulate(state, far, jax.random.key(2))
+        return np.asarray(trainer.judge(state.adversary, episodes, jax.random.key(3)))
+
+    reward, mixed, distance = (returns(share) for share in (0.0, 0.25, 1.0))
+    assert np.std(distance) == pytest.approx(1.0, rel=1e-4)
+    np.testing.assert_allclose(mixed, 0.75 * reward / np.std(reward) + 0.25 * distance, rtol=1e-3)
+    assert distance.argmin() in (0, 4)  # one of the two policies that are far from the clone
+
+
+def test_the_search_goes_on_from_the_kept_policy(changed: Any) -> None:
+    for beyond, returns in ((0.0, False), (1.5, True), (1e6, False)):
+        trainer = changed(
+            recentre_beyond=beyond,
+            step_size=1e-9,
+            final_step_size=0.0,
+            behavior_cloning_start=True,
+        )
+        state, _ = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+        kept = np.asarray(state.kept.policy.weights)
+        astray = state.weights.at[0, 0].set(-30.0)
+        state, metrics = jax.jit(trainer.update)(state.replace(weights=astray, mean_weights=astray))
+        assert float(metrics["expert_distance"]) > 1.5 * -float(state.kept.score)
+        assert (np.abs(np.asarray(state.weights)[:, :-1] - kept).max() < 1e-6) == returns
+    with pytest.raises(UserError, match="recentre_beyond needs standardize_with=expert"):
+        changed(recentre_beyond=2.0, standardize_with="running")

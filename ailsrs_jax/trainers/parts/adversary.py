@@ -11,11 +11,11 @@ import optax
 from flax import struct
 
 from ailsrs_jax.components import discriminator
+from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.discriminator import LOSSES, REWARDS
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import own_function
-from ailsrs_jax.trainers.parts.descent import descend
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.settings import Entries, Positive, PositiveUpToOne, UpToOne, is_used
 

@@ -33,11 +33,15 @@ class AilsrsSettings(AdversarySettings):
     #: the worth of a step after an episode's end, as a share of the mean over its live steps: with
     #: 1, the paper's, an episode is worth the mean over its live steps; with 0 their sum, over T
     reward_after_end: UpToOne = 1.0
+    energy_share: UpToOne = 0.0  #: of the energy distance to the expert in a policy's return
     behavior_cloning_start: bool = False
     intercept: bool = False  #: of the policy; it is cloned and searched, too
     policy_entries: Entries = "all"  #: of the observation, such as 0:27
     standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     averaging: UpToOne = 0.0  #: decay, each update, of the mean of the iterates; 0: the iterate
+    #: times the distance of the kept policy: after an evaluation with a larger distance, the search
+    #: goes on from the kept policy; 0: never
+    recentre_beyond: float = 0.0
     num_evaluation_episodes: int = 4
     num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 

@@ -58,21 +58,43 @@ class Reference(struct.PyTreeNode):
         return observations * self.statistics.std + self.statistics.mean
 
     def distance(self, key: jax.Array, episodes: Episodes, episode_length: int) -> jax.Array:
-        """Return the energy distance of ``episodes`` to the expert's.
+        """Return the energy distance of ``episodes`` to the expert's; see :meth:`distances`."""
+        num_samples = len(self.distance_features)
+        return self.distances(key, episodes, episode_length, 1, num_samples)[0]
+
+    def distances(
+        self,
+        key: jax.Array,
+        episodes: Episodes,
+        episode_length: int,
+        num_groups: int,
+        num_samples: int,
+    ) -> jax.Array:
+        """Return the energy distance of each group of ``episodes`` to the expert's.
 
         Args:
             key: of the draws.
-            episodes: the episodes; the environment's reward is not used. An episode that diverged
-                counts as one that ended at once.
+            episodes: the episodes, one group after the other; the environment's reward is not used.
+                An episode that diverged counts as one that ended at once.
             episode_length: their time limit.
+            num_groups: how many groups, all of the same size.
+            num_samples: the steps of each group that are compared.
         """
         horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
-        num_samples = len(self.distance_features)
         # Actions are compared where the expert's are known.
         actions = episodes.actions[..., : self.actions.shape[-1]]
         points = jnp.concatenate([self.compared(episodes.observations), actions], axis=-1)
-        features = distance_features(key, points, episodes.usable_lengths, horizon, num_samples)
-        return energy_distance(features, self.distance_features, self.distance_spread)
+
+        def of_group(group: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+            features = distance_features(*group, horizon, num_samples)
+            return energy_distance(features, self.distance_features, self.distance_spread)
+
+        groups = jax.tree.map(
+            lambda x: x.reshape(num_groups, -1, *x.shape[1:]), (points, episodes.usable_lengths)
+        )
+        keys = jax.random.split(key, num_groups)
+        # A few at a time, because all pairs of samples of all groups are too many numbers.
+        return jax.lax.map(of_group, (keys, *groups), batch_size=min(num_groups, 8))
 
 
 def make_reference(

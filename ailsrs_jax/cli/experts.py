@@ -115,7 +115,7 @@ def expert(
 
     preset = expert_settings(algorithm, resolve_env_id(env))
     changes = parse(preset, assignments(settings))
-    with RunProgress(terminal.console) as progress:
+    with RunProgress(terminal.console, [seed]) as progress:
         policy = train_expert(
             env,
             algorithm=algorithm,

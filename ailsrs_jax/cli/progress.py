@@ -6,8 +6,17 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
 
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.sweeps.cells import Cell
@@ -17,6 +26,8 @@ from ailsrs_jax.sweeps.sweep import Unit, is_done
 from ailsrs_jax.sweeps.tables import TableRow
 
 LINES_IN_A_LOG = 20  # lines of a run where there is no terminal
+WIDTH_OF_A_COURSE = 30  # iterations
+BLOCKS = "▁▂▃▄▅▆▇█"
 MEANS = {  # metrics of which the mean over seeds is shown
     "imitation_reward": "reward {:.3f}",
     "discriminator_loss": "loss {:.3f}",
@@ -24,52 +35,78 @@ MEANS = {  # metrics of which the mean over seeds is shown
 }
 
 
-class _Bars:
-    """Progress bars on a terminal, shown inside a ``with`` statement."""
+class RunProgress:
+    """The progress of a run, shown inside a ``with`` statement; it is the ``watch`` of the run.
 
-    def __init__(self, console: Console, text: str, speed_period: float = 30.0) -> None:
-        """Show bars with the ``text``; their speed is measured over ``speed_period`` [s]."""
-        self._console = console
-        self._bars = Progress(
-            BarColumn(bar_width=16),  # in a narrow terminal the text has priority
-            TextColumn(text),
+    On a terminal it is a table with a row for each seed, above a bar; else it is plain lines.
+    """
+
+    def __init__(
+        self, console: Console, seeds: Sequence[int], expert_return: float | None = None
+    ) -> None:
+        """Show the returns of ``seeds``, and how many per cent of ``expert_return`` they are."""
+        self._console, self._seeds, self._expert = console, seeds, expert_return
+        self._returns: list[np.ndarray] = []  # (seeds,) of each iteration, since the start
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=12),
+            TimeElapsedColumn(),
+            TextColumn("elapsed,"),
             TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-            speed_estimate_period=speed_period,
+            TextColumn("left"),
         )
+        self._task = self._bar.add_task("compiling", total=None)
+        self._live = Live(self._bar, console=console, transient=True)
 
     def __enter__(self) -> Self:
-        self._bars.start()
+        if self._console.is_terminal:
+            self._live.start()
+        else:
+            self._console.print("compiling")
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._bars.stop()
-
-
-class RunProgress(_Bars):
-    """The progress of a run; it is the ``watch`` of the run."""
-
-    def __init__(self, console: Console) -> None:
-        super().__init__(console, "{task.completed:.0f}/{task.total:.0f}  {task.description}")
-        self._task: TaskID | None = None
+        self._live.stop()
 
     def __call__(self, report: IterationReport) -> None:
         """Show one iteration."""
-        done, total, text = report.iteration + 1, report.num_iterations, describe(report)
-        if self._task is None:
+        done, total = report.iteration + 1, report.num_iterations
+        if not self._returns:
             if report.compile_seconds is not None:
                 self._console.print(f"compiled in {report.compile_seconds:.1f} s")
-            self._task = self._bars.add_task(text, total=total, completed=report.iteration)
-        self._bars.update(self._task, completed=done, description=text)
-        if not self._console.is_terminal and (
-            report.is_last or done % max(total // LINES_IN_A_LOG, 1) == 0
-        ):
+            self._bar.reset(self._task, total=total, completed=report.iteration)
+        self._returns.append(report.metrics["evaluation_return"])
+        if self._console.is_terminal:
+            self._bar.update(self._task, completed=done, description=f"{done}/{total}")
+            notes = " · ".join(describe_all(report))
+            self._live.update(Group(self._table(report), notes, self._bar))
+        elif report.is_last or done % max(total // LINES_IN_A_LOG, 1) == 0:
+            text = describe(report, self._expert)
             self._console.print(f"{done}/{total}  {text}", soft_wrap=True)
 
+    def _table(self, report: IterationReport) -> Table:
+        courses = np.array(self._returns[-WIDTH_OF_A_COURSE:]).T
+        distances = report.metrics.get("expert_distance")
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for name in ("", "return", "of the expert", "distance to it", "returns so far"):
+            table.add_column(name, justify="left" if name == "returns so far" else "right")
+        highest = max(courses.max(), self._expert or -np.inf)
+        for index, returns in enumerate(courses):
+            table.add_row(
+                f"seed {self._seeds[index]}",
+                f"{returns[-1]:.0f}",
+                percentage(returns[-1], self._expert),
+                "" if distances is None else f"{distances[index]:.2f}",
+                sparkline(returns, min(courses.min(), 0.0), highest),
+            )
+        if self._expert is not None:
+            table.add_row("expert", f"{self._expert:.0f}", "100 %", style="dim")
+        return table
 
-class SweepProgress(_Bars):
-    """The progress of a sweep; it is the ``watch`` of the sweep.
+
+class SweepProgress:
+    """The progress of a sweep, shown inside a ``with`` statement; it is the ``watch`` of the sweep.
 
     One bar is for all cells, weighted by their estimated steps, and one for the cells in training.
     A line is printed for each cell that ends.
@@ -77,7 +114,16 @@ class SweepProgress(_Bars):
 
     def __init__(self, console: Console, units: Sequence[Unit], output: Path) -> None:
         """Count the ``units``, some of which may be finished in the directory ``output``."""
-        super().__init__(console, "{task.description}", speed_period=3600.0)  # speeds of cells vary
+        self._console = console
+        self._bars = Progress(
+            BarColumn(bar_width=16),  # in a narrow terminal the text has priority
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=3600.0,  # speeds of cells vary
+        )
         cells = [cell for unit in units for cell in unit]
         left = [cell for cell in cells if not is_done(output, cell)]
         self._steps = {cell.name: estimated_env_steps(cell) for cell in left}
@@ -87,6 +133,13 @@ class SweepProgress(_Bars):
         self._running: Sequence[Cell] = ()
         self._all = self._bars.add_task(self._summary(), total=sum(self._steps.values()))
         self._current = self._bars.add_task("", visible=False)
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._bars.stop()
 
     def begin(self, cells: Sequence[Cell]) -> None:
         """Show that these cells are now trained together."""
@@ -126,14 +179,35 @@ class SweepProgress(_Bars):
         return f"{self._num_cells} cells: " + ", ".join(f"{n} {what}" for what, n in counts.items())
 
 
-def describe(report: IterationReport) -> str:
-    """Return a line with each seed's evaluation return, the means of other metrics, and speed."""
+def percentage(value: float, expert_return: float | None) -> str:
+    """Return a return as per cent of the expert's; nothing if that is unknown or not positive."""
+    if expert_return is None or expert_return <= 0.0:
+        return ""
+    return f"{100 * value / expert_return:.0f} %"
+
+
+def sparkline(values: np.ndarray, lowest: float, highest: float) -> str:
+    """Draw ``values`` as a row of blocks, from ``lowest`` to ``highest``."""
+    shares = np.nan_to_num((values - lowest) / (highest - lowest or 1.0))
+    return "".join(BLOCKS[int(level)] for level in np.clip(8 * shares, 0, 7))
+
+
+def describe(report: IterationReport, expert_return: float | None = None) -> str:
+    """Return a line with each seed's evaluation return and what holds for all of them."""
+    returns = report.metrics["evaluation_return"]
+    parts = ["return " + " ".join(f"{value:.0f}" for value in returns)]
+    if shares := " ".join(percentage(value, expert_return) for value in returns).strip():
+        parts.append(f"{shares} of the expert")
+    return " · ".join(parts + describe_all(report))
+
+
+def describe_all(report: IterationReport) -> list[str]:
+    """Return the means over seeds of the other metrics, and the speed."""
     metrics = report.metrics
-    parts = ["return " + " ".join(f"{value:.0f}" for value in metrics["evaluation_return"])]
     means = {name: text for name, text in MEANS.items() if name in metrics}
-    parts += [text.format(float(np.mean(metrics[name]))) for name, text in means.items()]
+    parts = [text.format(float(np.mean(metrics[name]))) for name, text in means.items()]
     if diverged := int(np.sum(metrics.get("diverged", 0))):
         parts.append(f"{diverged} of {int(metrics['episodes'].sum())} episodes diverged")
     parts.append(f"{float(np.mean(metrics['env_steps'])) / 1e6:.2f} M steps")
     parts.append(f"{report.env_steps_per_second / 1e3:.1f} k/s")
-    return " · ".join(parts)
+    return parts

@@ -1,5 +1,6 @@
 """What a command prints: text for people, or with ``--json`` one object for programs."""
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -7,11 +8,13 @@ import math
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from tyro.conf import arg
 
 
@@ -39,6 +42,23 @@ class Terminal:
     def line(self, text: str) -> None:
         """Print a line for people, however long it is."""
         self.console.print(text, soft_wrap=True, markup=False)
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Show what goes on inside a ``with`` statement, and how long it has taken."""
+        started = time.perf_counter()
+        if not self.console.is_terminal:
+            self.line(name)
+        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+        with Progress(
+            *columns,
+            console=self.console,
+            transient=True,
+            disable=not self.console.is_terminal,
+        ) as progress:
+            progress.add_task(name, total=None)
+            yield
+        self.line(f"{name} took {time.perf_counter() - started:.1f} s")
 
     def json(self, fields: Mapping[str, Any]) -> None:
         """Print the object for programs if it was asked for; NaN and infinity become null."""

@@ -91,6 +91,8 @@ def train(
         distributed: Share one run among the devices of all processes of a SLURM, Open MPI,
             Kubernetes or Cloud TPU job; start each process with this same command.
     """
+    import numpy as np
+
     from ailsrs_jax.cli.progress import RunProgress
     from ailsrs_jax.cli.signals import StopSignals
     from ailsrs_jax.runs import loop
@@ -128,16 +130,20 @@ def train(
         workers=workers,
         worker_timeout=worker_timeout,
     )
-    planned = plan(spec)
+    with terminal.stage("preparing the demonstrations"):
+        planned = plan(spec)
     config = planned.config
     continue_by = [] if resume else ["--resume"]
     if output is None:
         name = env.replace(":", ".").replace("/", ".")  # colons are special to scp
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
-    learns_from = "the environment's reward"
-    if config.num_trajectories:
-        learns_from = f"{config.num_trajectories} demonstrations {config.source}"
+    learns_from, expert_return = "the environment's reward", None
+    if planned.demonstrations is not None:
+        expert_return = float(np.mean(planned.demonstrations.returns))
+        learns_from = (
+            f"{config.num_trajectories} demonstrations {config.source}, return {expert_return:.0f}"
+        )
     named = " ".join(map(str, config.seeds))
     terminal.line(
         f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · "
@@ -146,7 +152,8 @@ def train(
     )
     stop = StopSignals()
     try:
-        with stop, RunProgress(terminal.console) as progress:
+        showing = RunProgress(terminal.console, config.seeds, expert_return)
+        with stop, showing as progress:
             (result,) = loop.execute(
                 [planned],
                 [output],

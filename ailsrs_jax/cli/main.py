@@ -14,6 +14,7 @@ from collections.abc import Callable
 import tyro
 
 from ailsrs_jax.cli.experts import demonstrate, expert
+from ailsrs_jax.cli.inspect import inspect as inspect_demonstrations
 from ailsrs_jax.cli.measure import benchmark, evaluate
 from ailsrs_jax.cli.show import export, render, report
 from ailsrs_jax.cli.sweep import merge, sweep
@@ -24,6 +25,7 @@ from ailsrs_jax.versions import VersionError
 COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "demonstrate": demonstrate,
+    "inspect": inspect_demonstrations,
     "expert": expert,
     "evaluate": evaluate,
     "export": export,

@@ -290,6 +290,7 @@ def make_ailsrs(
         settings.episode_length,
         settings.num_distance_samples,
         settings.discriminator_entries,
+        settings.leave_out_beyond,
     )
     Adversary(settings, reference)  # checks that the demonstrations hold what it sees
     if settings.behavior_cloning_start:

@@ -29,6 +29,8 @@ SCORES = ("discriminator_loss", "policy_score", "expert_score")  # the metrics o
 class AdversarySettings:
     """Settings of :class:`Adversary`; the defaults are the paper's (Table I)."""
 
+    #: times the median distance of a demonstration to all: those farther away are left out; 0: none
+    leave_out_beyond: float = 0.0
     discriminator_sees: Literal["state_action", "state", "state_next_state"] = "state_action"
     discriminator_loss: Annotated[str, LOSSES] = "least_squares"
     discriminator_learning_rate: Positive = 2.5e-4

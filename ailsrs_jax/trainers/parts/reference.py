@@ -1,7 +1,10 @@
 """Demonstrations as imitation learners use them, and the distance of other episodes to them."""
 
+import logging
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from ailsrs_jax.components import normalizer
@@ -11,6 +14,8 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.settings import parse_entries
+
+logger = logging.getLogger(__name__)
 
 
 class Reference(struct.PyTreeNode):
@@ -102,6 +107,7 @@ def make_reference(
     episode_length: int,
     num_distance_samples: int,
     entries: str = "all",
+    leave_out_beyond: float = 0.0,
 ) -> Reference:
     """Prepare ``demonstrations`` for episodes of at most ``episode_length`` steps.
 
@@ -110,6 +116,7 @@ def make_reference(
         episode_length: T.
         num_distance_samples: steps that are compared for a distance.
         entries: of the observations that are compared, ``all`` or ``first:end``.
+        leave_out_beyond: see :func:`unlike_the_others`; 0: no episode is left out.
 
     Raises:
         UserError: the demonstrations are subsampled, and an episode is too short for one step.
@@ -133,7 +140,36 @@ def make_reference(
         )
     features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
     spread = mean_distance(features, features)
-    return Reference(observations, actions, lengths, statistics, features, spread, stride, compared)
+    reference = Reference(
+        observations, actions, lengths, statistics, features, spread, stride, compared
+    )
+    if leave_out_beyond > 0.0:
+        unlike = unlike_the_others(reference, horizon, leave_out_beyond)
+        if unlike.any():
+            numbers = ", ".join(map(str, np.flatnonzero(unlike)))
+            logger.warning("demonstrations left out, because they are unlike most: %s", numbers)
+            typical = jax.tree.map(lambda x: x[~unlike], demonstrations)
+            return make_reference(typical, episode_length, num_distance_samples, entries)
+    return reference
+
+
+def unlike_the_others(reference: Reference, horizon: int, times: float) -> np.ndarray:
+    """Tell which demonstrations ``(E,)`` are unlike most, as those of an expert's rare falls are.
+
+    The energy distance of such an episode to all demonstrations, over the first ``horizon`` steps,
+    is more than ``times`` the median of these distances. No reward is used.
+    """
+    features, spread = reference.distance_features, reference.distance_spread
+    points = jnp.concatenate([reference.compared_observations, reference.actions], axis=-1)
+
+    def distance(episode: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        key, points, lengths = episode
+        own = distance_features(key, points[None], lengths[None], horizon, 250)
+        return energy_distance(own, features, spread)
+
+    keys = jax.random.split(jax.random.key(1), len(points))
+    distances = np.asarray(jax.lax.map(distance, (keys, points, reference.lengths)))
+    return distances > times * np.median(distances)
 
 
 def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:

@@ -8,7 +8,7 @@ import pytest
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.reference import make_reference
+from ailsrs_jax.trainers.parts.reference import make_reference, unlike_the_others
 
 TIME_LIMIT = 100
 NUM_SAMPLES = 2000
@@ -76,3 +76,22 @@ def test_demonstrations_that_cannot_be_compared() -> None:
     demonstrations = episodes(4, seed=0)
     with pytest.raises(UserError, match=r"every 20th step .* is 10, it must be at least 20"):
         make_reference(demonstrations.subsample(20), 10, 10)
+
+
+def test_demonstrations_that_are_unlike_most_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    demonstrations = episodes(20, seed=0)
+    observations = np.array(demonstrations.observations)
+    observations[3] += 3.0
+    changed = demonstrations.replace(observations=observations)
+    reference = make_reference(changed, TIME_LIMIT, NUM_SAMPLES)
+    assert np.flatnonzero(unlike_the_others(reference, TIME_LIMIT, 5.0)).tolist() == [3]
+    typical = make_reference(changed, TIME_LIMIT, NUM_SAMPLES, leave_out_beyond=5.0)
+    assert len(typical.lengths) == 19
+    assert "unlike most: 3" in caplog.text
+    others = np.delete(demonstrations.observations, 3, axis=0)
+    np.testing.assert_allclose(
+        typical.unstandardize(typical.observations)[typical.alive],
+        others[np.delete(demonstrations.alive, 3, axis=0)],
+        atol=1e-5,
+    )
+    assert len(make_reference(changed, TIME_LIMIT, NUM_SAMPLES).lengths) == 20

@@ -1,0 +1,102 @@
+"""The command ``ailsrs inspect``."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.markup import escape
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
+from ailsrs_jax.cli.progress import percentage
+from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions
+from ailsrs_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from ailsrs_jax.runs.inspection import Inspection
+
+
+def inspect(
+    demonstrations: Positional[Annotated[str, arg(metavar="FILE|minari:ID|DIR")]],
+    task: Positional[Annotated[str | None, arg(metavar="[ENV]", help_behavior_hint="")]] = None,
+    num_trajectories: Count = None,
+    physics: PhysicsName = "auto",
+    env: OwnEnv = None,
+    terminal: TerminalOptions = TERMINAL,
+) -> None:
+    """Tell what demonstrations hold, and whether they are of the environment.
+
+    Example: ailsrs inspect mine.npz
+
+    Example: ailsrs inspect minari:mujoco/hopper/expert-v0 hopper --json
+
+    Args:
+        demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library.
+        task: The environment, named as for ailsrs train; by default the one that a .npz file names.
+        num_trajectories: Inspect the first N episodes; by default all.
+    """
+    from ailsrs_jax.data.demonstrations import load_demonstrations
+    from ailsrs_jax.data.sources import open_source
+    from ailsrs_jax.envs.registry import open_env, require_harmless, resolve_env_id
+    from ailsrs_jax.runs.devices import set_up_jax
+    from ailsrs_jax.runs.inspection import inspect_demonstrations
+    from ailsrs_jax.runs.training_data import require_fit
+
+    set_up_jax()
+    allow_env(env)
+    if task is None:
+        if not demonstrations.endswith(".npz"):
+            raise UserError(f"name the environment: ailsrs inspect {demonstrations} ENV")
+        env_id = load_demonstrations(Path(demonstrations)).env_id
+        require_harmless(env_id, demonstrations)
+    else:
+        env_id = resolve_env_id(task)
+    opened = open_env(env_id, physics)
+    loaded, _ = open_source(demonstrations, env_id, num_trajectories)
+    if num_trajectories is not None:
+        loaded = loaded.first(num_trajectories)
+    require_fit(loaded, env_id, opened.env)
+    with terminal.stage("simulating steps and clones"):
+        found = inspect_demonstrations(loaded, opened.env)
+    name = shlex.quote(demonstrations)
+    command = f"ailsrs train {shlex.quote(task or env_id)} --demonstrations {name}"
+    terminal.json({"env_id": env_id, **found.facts, "problems": found.problems, "try": command})
+    if not terminal.as_json:
+        terminal.console.print(_table(found, env_id))
+        for problem in found.problems or ["nothing is wrong with them, as far as one can see"]:
+            terminal.line(f"· {problem}")
+        terminal.line(f"try: {command}")
+
+
+def _table(found: "Inspection", env_id: str) -> Table:
+    facts = found.facts
+    table = Table("", "", box=None, show_header=False)
+
+    def row(name: str, text: str) -> None:
+        table.add_row(name, escape(text))
+
+    expert = facts["return_mean"]
+    every = f", every {facts['every']}th step of the episodes" if facts["every"] > 1 else ""
+    row("demonstrations", f"{facts['episodes']} episodes of {env_id}")
+    row("transitions", f"{facts['transitions']}{every}")
+    row("length", f"{facts['shortest']} to {facts['longest']} steps")
+    row("return", f"{expert:.0f} ± {facts['return_std']:.0f}")
+    row("episodes can start at their states", "yes" if facts["sets_states"] else "no")
+    if "difference_to_simulation" in facts:
+        share = 100 * facts["difference_to_simulation"]
+        row("simulated steps differ by", f"{share:.1f} % of what a step changes")
+    if "linear_clone_return" not in facts:
+        row("actions", "none: train with --set discriminator_sees=state")
+        return table
+    row("actions at the end of their range", f"{100 * facts['clipped_actions']:.0f} %")
+    row(
+        "R² of a linear policy",
+        f"{facts['r_squared']:.2f} on steps held out, "
+        f"{facts['r_squared_without_intercept']:.2f} without an intercept",
+    )
+    for kind in ("linear", "neural"):
+        value = facts[f"{kind}_clone_return"]
+        share = percentage(value, expert)
+        row(f"return of a {kind} clone", f"{value:.0f}" + (f", {share}" if share else ""))
+    return table

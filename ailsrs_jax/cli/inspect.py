@@ -9,8 +9,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
-from ailsrs_jax.cli.progress import percentage
-from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions
+from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, percentage
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:

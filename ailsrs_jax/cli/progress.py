@@ -18,6 +18,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from ailsrs_jax.cli.terminal import percentage
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
@@ -177,13 +178,6 @@ class SweepProgress:
     def _summary(self) -> str:
         counts = self._counts | {"running": len(self._running)}
         return f"{self._num_cells} cells: " + ", ".join(f"{n} {what}" for what, n in counts.items())
-
-
-def percentage(value: float, expert_return: float | None) -> str:
-    """Return a return as per cent of the expert's; nothing if that is unknown or not positive."""
-    if expert_return is None or expert_return <= 0.0:
-        return ""
-    return f"{100 * value / expert_return:.0f} %"
 
 
 def sparkline(values: np.ndarray, lowest: float, highest: float) -> str:

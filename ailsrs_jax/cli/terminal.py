@@ -82,6 +82,13 @@ def evaluation_fields(evaluation: Any) -> dict[str, Any]:
     }
 
 
+def percentage(value: float, expert_return: float | None) -> str:
+    """Return a return as per cent of the expert's; nothing if that is unknown or not positive."""
+    if expert_return is None or expert_return <= 0.0:
+        return ""
+    return f"{100 * value / expert_return:.0f} %"
+
+
 def this_command(*more: str) -> str:
     """The command line of this process followed by ``more``, quoted for a shell."""
     program = Path(sys.argv[0])

@@ -136,8 +136,7 @@ class Ailsrs(Trainer):
     def done(self, state: TrainState) -> jax.Array:
         """Return which part of the search is done, from 0 at its first step to 1 at its last."""
         last = self.settings.num_iterations * self.settings.updates_per_iteration - 1
-        # It stays 1 if ``update`` is called more often than planned.
-        return jnp.minimum(state.num_updates / max(last, 1), 1.0)
+        return jnp.minimum(state.num_updates / max(last, 1), 1.0)  # ``update`` may be called again
 
     def ask(self, key: jax.Array) -> jax.Array:
         """Draw ``deltas (N, p, n + 1)``, the directions in which the policy is perturbed."""

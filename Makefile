@@ -5,7 +5,7 @@ ARGS ?=
 
 .PHONY: train test test-matrix lint docs peer clean
 
-train: $(VENV)/installed
+train: $(VENV)/package
 	$(VENV)/bin/ailsrs train hopper $(ARGS)
 
 test: $(VENV)/installed
@@ -28,8 +28,13 @@ docs: $(VENV)/installed
 peer: $(VENV)/installed .venv-peer/installed
 	$(VENV)/bin/python experiments/peer/compare.py $(ARGS)
 
-$(VENV)/installed: pyproject.toml
+# Enough to train; the tests, the linters and the documentation need more.
+$(VENV)/package: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/installed: $(VENV)/package
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $@
 

@@ -1,6 +1,7 @@
 """The command ``ailsrs train``."""
 
 import dataclasses
+import shlex
 import signal
 import sys
 import time
@@ -29,6 +30,7 @@ from ailsrs_jax.cli.terminal import (
     Terminal,
     TerminalOptions,
     evaluation_fields,
+    percentage,
     this_command,
 )
 from ailsrs_jax.errors import UserError
@@ -176,31 +178,49 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     """Evaluate the kept policies, print their returns and draw the training curve."""
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.show.curves import plot_training_curve
+    from ailsrs_jax.trainers.algorithms import find_algorithm
+    from ailsrs_jax.trainers.parts.reference import verdict
 
     length = result.config.settings.episode_length
-    table = Table("seed", "kept at iteration", "return, 100 episodes", box=None)
+    expert, mean = None, None
+    if result.expert_returns is not None:
+        mean = float(result.expert_returns.mean())
+        expert = mean, float(result.expert_returns.std())
+    is_distance = find_algorithm(result.config.algorithm).kept_by == "expert_distance"
+    table = Table("seed", "kept at", "return, 100 episodes", "of the expert", "distance", box=None)
     fields: list[dict[str, Any]] = []
+    verdicts: list[str] = []
     for seed, policy in result.policies.items():
         if terminal.quiet and not terminal.as_json:
             break
-        evaluation = evaluate(policy, physics=physics, episode_length=length)
+        with terminal.stage(f"evaluating seed {seed}"):
+            evaluation = evaluate(policy, physics=physics, episode_length=length)
         kept, returns, drawn = result.kept_iterations[seed], str(evaluation), None
         if policy.is_stochastic:
             sampled = evaluate(policy, physics=physics, episode_length=length, stochastic=True)
             returns, drawn = f"{returns} (actions sampled: {sampled})", evaluation_fields(sampled)
-        table.add_row(str(seed), str(kept), returns)
+        share, distance = percentage(evaluation.mean, mean), -result.scores[seed]
+        table.add_row(
+            str(seed), str(kept), returns, share, f"{distance:.2f}" if is_distance else ""
+        )
         file = str(output / f"seed_{seed}" / "policy.npz")
         row = {"seed": seed, "kept_iteration": kept, "policy": file}
+        if is_distance:
+            row |= {"distance": distance, "verdict": verdict(distance)}
+            verdicts.append(f"seed {seed} is {verdict(distance)}")
         fields.append(row | evaluation_fields(evaluation) | {"drawn": drawn})
-    expert = None
-    if result.expert_returns is not None:
-        expert = float(result.expert_returns.mean()), float(result.expert_returns.std())
+    if expert is not None:
         other = result.demonstrated_length
         note = f" in episodes of {other} steps, not {length}" if other != length else ""
         table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}{note}", style="dim")
     terminal.console.print(table)
     plot_training_curve(output)
-    terminal.line(f"policies, metrics and training curve are in {output}")
+    if verdicts:
+        terminal.line(f"judged by the distance, without a reward: {', '.join(verdicts)}")
+    terminal.line(f"policies, metrics and training curve are in {output}\nnext:")
+    quoted = shlex.quote(str(output))
+    for command in ("report {}", "render {} --output video.mp4", "evaluate {}"):
+        terminal.line(f"  ailsrs {command.format(quoted)}")
     config = result.config
     terminal.json(
         {

@@ -43,6 +43,7 @@ class Result:
     config: RunConfig
     policies: dict[int, SavedPolicy]  #: the kept policy of each seed
     kept_iterations: dict[int, int]  #: the iteration that each was found in
+    scores: dict[int, float]  #: that each was kept for, such as minus its distance to the expert
     expert_returns: np.ndarray | None  #: of the demonstrations, if there are any
     demonstrated_length: int | None = None  #: the time limit of these [environment steps]
 
@@ -114,11 +115,13 @@ class _Run:
             directory = self._output / "checkpoints"
             with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
                 checkpoints.save(self._num_done(progress), part)
-        kept = np.asarray(part["state"].kept.iteration).tolist()
+        kept = part["state"].kept
+        iterations, scores = (np.asarray(x).tolist() for x in (kept.iteration, kept.score))
         return Result(
             config=config,
             policies=kept_policies(part["state"], config),
-            kept_iterations=dict(zip(config.seeds, kept, strict=True)),
+            kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
+            scores=dict(zip(config.seeds, scores, strict=True)),
             expert_returns=self._returns,
             demonstrated_length=self._plan.demonstrated_length,
         )

@@ -78,7 +78,9 @@ def test_episodes_of_another_length_than_the_experts_are_not_compared(
         content = "iteration,seed,env_steps,evaluation_return\n0,0,100,2.0\n1,0,400,1000.0\n"
         (directory / "metrics.csv").write_text(content)
         config = cell.make_plan().config
-        result = Result(config, {0: saved_policy(policy, "Swimmer-v5")}, {0: 1}, np.ones(3), 1000)
+        result = Result(
+            config, {0: saved_policy(policy, "Swimmer-v5")}, {0: 1}, {0: -0.2}, np.ones(3), 1000
+        )
         save_row(directory, finished_row(cell, result, directory, episodes=1), None)
     short, _, whole, not_run = write_tables(Path("sweep"), grid.cells)
     measured = ("last_return", "mean_return_over_training", "steps_to_90")

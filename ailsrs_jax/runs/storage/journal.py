@@ -13,6 +13,8 @@ from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metri
 from ailsrs_jax.runs.storage.policies import kept_policies
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
 from ailsrs_jax.runs.storage.trackers import Tracker
+from ailsrs_jax.trainers.algorithms import find_algorithm
+from ailsrs_jax.trainers.parts.reference import verdict
 
 RESULT_FILE = "result.json"
 SECONDS_COLUMNS = ("iteration", "seconds", "compile_seconds")
@@ -107,6 +109,12 @@ class Journal:
                 "std": float(expert_returns.std()),
                 "episode_length": demonstrated_length,
             }
+        is_distance = find_algorithm(self._config.algorithm).kept_by == "expert_distance"
+
+        def about(iteration: int, score: float) -> dict[str, Any]:
+            kept = {"kept_iteration": iteration, "score": score}
+            return kept | ({"verdict": verdict(-score)} if is_distance else {})
+
         result = {
             "command": command,
             "finished": finished,
@@ -114,7 +122,7 @@ class Journal:
             "seconds": self._seconds,
             "expert_return": expert,
             "seeds": {
-                seed: {"kept_iteration": iteration, "score": score}
+                seed: about(iteration, score)
                 for seed, iteration, score in zip(seeds, iterations, scores, strict=True)
                 if math.isfinite(score)  # else no policy has had a score yet
             },

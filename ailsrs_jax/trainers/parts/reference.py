@@ -17,6 +17,10 @@ from ailsrs_jax.trainers.parts.settings import parse_entries
 
 logger = logging.getLogger(__name__)
 
+# Energy distances of evaluations at which policies had most of the expert's return, and at most
+# half of it, on HalfCheetah and Hopper; see experiments/search/README.md.
+CLOSE, FAR = 0.3, 1.0
+
 
 class Reference(struct.PyTreeNode):
     """The expert's steps, prepared by :func:`make_reference`."""
@@ -100,6 +104,13 @@ class Reference(struct.PyTreeNode):
         keys = jax.random.split(key, num_groups)
         # A few at a time, because all pairs of samples of all groups are too many numbers.
         return jax.lax.map(of_group, (keys, *groups), batch_size=min(num_groups, 8))
+
+
+def verdict(distance: float) -> str:
+    """Say what the energy ``distance`` of a policy to the expert means."""
+    if distance <= CLOSE:
+        return "close to the expert"
+    return "in part like the expert" if distance <= FAR else "not like the expert"
 
 
 def make_reference(

@@ -47,6 +47,7 @@ def train(
     algorithm: AlgorithmName = "ailsrs",
     demonstrations: Source = None,
     num_trajectories: Count = None,
+    draw_from: Count = None,
     subsample: Every = 1,
     seeds: Seeds = (),
     iterations: Count = None,
@@ -76,6 +77,7 @@ def train(
             default the shipped expert of the task. expert:paper is an expert with the return of
             the paper's.
         num_trajectories: Use the first N episodes; by default 10 of the shipped expert, else all.
+        draw_from: Draw these episodes at random from the first N, with the seed of the run.
         subsample: Train on every K-th step of each episode, from a random step on.
         seeds: Random seeds, from 0, trained together as one batched program, as in --seeds 0 1 2;
             by default 0.
@@ -123,6 +125,7 @@ def train(
         demonstrations=demonstrations,
         algorithm=algorithm,
         num_trajectories=num_trajectories,
+        draw_from=draw_from,
         subsample=subsample,
         seeds=[seed for group in seeds for seed in group] or [0],
         preset=preset,

@@ -67,10 +67,10 @@ def plan(spec: RunSpec) -> Plan:
     data = TrainingData()
     if algorithm.imitates:
         data = read_training_data(spec, env, env_id, engine)
-    elif (spec.demonstrations, spec.num_trajectories, spec.subsample) != (None, None, 1):
+    elif _asks_for_demonstrations(spec):
         raise UserError(
             f"{spec.algorithm} learns from the environment's reward: leave out demonstrations, "
-            "num_trajectories and subsample"
+            "num_trajectories, draw_from and subsample"
         )
     limit = data.time_limit or getattr(env, "time_limit", None) or preset.episode_length
     if "episode_length" not in spec.settings:
@@ -98,6 +98,11 @@ def plan(spec: RunSpec) -> Plan:
         physics_reason=reason,
         demonstrated_length=data.time_limit,
     )
+
+
+def _asks_for_demonstrations(spec: RunSpec) -> bool:
+    asked = spec.demonstrations, spec.num_trajectories, spec.draw_from, spec.subsample
+    return asked != (None, None, None, 1)
 
 
 def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:

@@ -27,6 +27,8 @@ class RunSpec:
         algorithm: ``ailsrs``, ``bc`` or ``gail``, which imitate demonstrations; or ``ars``, ``brs``
             or ``trpo``, which learn from the environment's reward.
         num_trajectories: use the first n episodes; by default 10 of the shipped expert, else all.
+        draw_from: draw the n episodes at random from this many first ones, with the only seed of
+            the run; by default the first n are used.
         subsample: train only on every k-th step of an episode.
         seeds: random seeds, trained together as one batched program.
         preset: ``tuned`` or ``paper``.
@@ -45,6 +47,7 @@ class RunSpec:
     demonstrations: str | Path | Demonstrations | None = None
     algorithm: str = "ailsrs"
     num_trajectories: int | None = None
+    draw_from: int | None = None
     subsample: int = 1
     seeds: Sequence[int] = (0,)
     preset: str = "tuned"

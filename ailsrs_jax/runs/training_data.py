@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations
@@ -39,6 +40,8 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         UserError: they cannot be read, do not fit the task, or are too few.
     """
     asked, number = spec.demonstrations, spec.num_trajectories
+    if spec.draw_from is not None:
+        number = _checked_draw(spec)
     if asked is None or asked == PAPER_EXPERT:
         source = Source("expert", None if asked is None else "paper")
         number = NUM_TRAJECTORIES if number is None else number
@@ -48,10 +51,15 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         demonstrations, source = open_source(asked, env_id, number)
     if number is not None:
         demonstrations = demonstrations.first(number)
+    if spec.draw_from is not None:
+        order = np.random.default_rng(spec.seeds[0]).permutation(spec.draw_from)
+        drawn = order[: spec.num_trajectories]
+        demonstrations = jax.tree.map(lambda x: np.asarray(x)[drawn], demonstrations)
     require_fit(demonstrations, env_id, env)
     time_limit = demonstrations.time_limit
     if spec.subsample != 1:
-        demonstrations = demonstrations.subsample(spec.subsample)
+        offsets_seed = 0 if spec.draw_from is None else spec.seeds[0]
+        demonstrations = demonstrations.subsample(spec.subsample, offsets_seed)
     return TrainingData(
         demonstrations,
         source,
@@ -60,6 +68,23 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         spec.subsample,
         time_limit,
     )
+
+
+def _checked_draw(spec: RunSpec) -> int:
+    """Return how many episodes ``spec`` draws from."""
+    asked, drawn_from = spec.num_trajectories, spec.draw_from
+    assert drawn_from is not None
+    if asked is None or not 1 <= asked <= drawn_from:
+        raise UserError(
+            f"draw_from is {drawn_from}, num_trajectories is {asked}: give the number of "
+            "trajectories, from 1 to the number that they are drawn from"
+        )
+    if len(spec.seeds) != 1:
+        raise UserError(
+            f"draw_from is for a single seed, which draws its own trajectories, not for "
+            f"{len(spec.seeds)} that share them: start a run for each, or a sweep"
+        )
+    return drawn_from
 
 
 def require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:

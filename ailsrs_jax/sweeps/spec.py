@@ -33,6 +33,7 @@ AXES: dict[str, type] = {
     "physics": str,
     "demonstrations": str,
     "num_trajectories": int,
+    "draw_from": int,
     "subsample": int,
     "seeds": int,
 }
@@ -167,6 +168,7 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
     if config.physics in ENGINES:  # so that "auto" means the same on all machines
         spec = dataclasses.replace(spec, physics=planned.spec.physics)
     is_expert = config.source is None or config.source.kind == "expert"
+    differ = is_expert or spec.draw_from is not None  # on other machines, or for other seeds
     return [
         Cell(
             name=f"{name}-seed{seed}",
@@ -175,7 +177,7 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
             all_settings=dataclasses.asdict(config.settings),
             engine=config.physics,
             program=hashlib.sha256(repr(stack_key(planned)).encode()).hexdigest()[:12],
-            demonstrations_sha256=None if is_expert else config.demonstrations_sha256,
+            demonstrations_sha256=None if differ else config.demonstrations_sha256,
         )
         for seed in asked.seeds
     ]
@@ -191,7 +193,7 @@ def _name(spec: RunSpec) -> str:
         parts.append(spec.preset)
     others = {
         key: getattr(spec, key)
-        for key in ("physics", "demonstrations", "subsample")
+        for key in ("physics", "demonstrations", "draw_from", "subsample")
         if getattr(spec, key) != getattr(default, key)
     }
     parts += [f"{name}={as_text(value)}" for name, value in {**others, **spec.settings}.items()]

@@ -9,6 +9,7 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.sources import Source
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
@@ -86,3 +87,28 @@ def test_the_shipped_expert_is_a_source(of_paper: bool, monkeypatch: pytest.Monk
     words = shlex.split(str(made.spec.command))
     assert ("expert:paper" in words) == of_paper
     assert made.config.num_trajectories == NUM_TRAJECTORIES
+
+
+def test_a_seed_can_draw_its_own_episodes(
+    point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    count = point_mass_expert.num_trajectories
+    assert count >= 4
+
+    def drawn(**fields: Any) -> Demonstrations:
+        fields = {"num_trajectories": 2, "draw_from": count, "seeds": [3]} | fields
+        planned = plan(RunSpec(point_mass, point_mass_expert, **fields))
+        assert planned.demonstrations is not None
+        return planned.demonstrations
+
+    order = np.random.default_rng(3).permutation(count)[:2]
+    np.testing.assert_array_equal(drawn().lengths, point_mass_expert.lengths[order])
+    np.testing.assert_array_equal(drawn().observations, point_mass_expert.observations[order])
+    every, other = (drawn(subsample=4, seeds=[seed]).observations for seed in (3, 4))
+    assert not np.array_equal(every, other)
+    with pytest.raises(UserError, match="num_trajectories is 9999"):
+        drawn(num_trajectories=9999)
+    with pytest.raises(UserError, match="draw_from is for a single seed"):
+        drawn(seeds=[0, 1])
+    with pytest.raises(UserError, match="leave out demonstrations, num_trajectories, draw_from"):
+        plan(RunSpec(point_mass, algorithm="ars", draw_from=3))

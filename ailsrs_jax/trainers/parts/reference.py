@@ -132,6 +132,15 @@ def make_reference(
     Raises:
         UserError: the demonstrations are subsampled, and an episode is too short for one step.
     """
+    if leave_out_beyond > 0.0:
+        with jax.ensure_compile_time_eval():  # how many are left out is a shape
+            whole = make_reference(demonstrations, episode_length, num_distance_samples, entries)
+            horizon = distance_horizon(whole.observations, whole.stride, episode_length)
+            unlike = unlike_the_others(whole, horizon, leave_out_beyond)
+        if unlike.any():
+            numbers = ", ".join(map(str, np.flatnonzero(unlike)))
+            logger.warning("demonstrations left out, because they are unlike most: %s", numbers)
+        demonstrations = jax.tree.map(lambda x: x[~unlike], demonstrations)
     observations, lengths, alive = map(
         jnp.asarray,
         (demonstrations.observations, demonstrations.lengths, demonstrations.alive),
@@ -151,17 +160,7 @@ def make_reference(
         )
     features = distance_features(jax.random.key(0), points, lengths, horizon, num_distance_samples)
     spread = mean_distance(features, features)
-    reference = Reference(
-        observations, actions, lengths, statistics, features, spread, stride, compared
-    )
-    if leave_out_beyond > 0.0:
-        unlike = unlike_the_others(reference, horizon, leave_out_beyond)
-        if unlike.any():
-            numbers = ", ".join(map(str, np.flatnonzero(unlike)))
-            logger.warning("demonstrations left out, because they are unlike most: %s", numbers)
-            typical = jax.tree.map(lambda x: x[~unlike], demonstrations)
-            return make_reference(typical, episode_length, num_distance_samples, entries)
-    return reference
+    return Reference(observations, actions, lengths, statistics, features, spread, stride, compared)
 
 
 def unlike_the_others(reference: Reference, horizon: int, times: float) -> np.ndarray:

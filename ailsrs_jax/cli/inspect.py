@@ -63,7 +63,7 @@ def inspect(
     terminal.json({"env_id": env_id, **found.facts, "problems": found.problems, "try": command})
     if not terminal.as_json:
         terminal.console.print(_table(found, env_id))
-        for problem in found.problems or ["nothing is wrong with them, as far as one can see"]:
+        for problem in found.problems or ["no problem found"]:
             terminal.line(f"· {problem}")
         terminal.line(f"try: {command}")
 
@@ -88,12 +88,9 @@ def _table(found: "Inspection", env_id: str) -> Table:
     if "linear_clone_return" not in facts:
         row("actions", "none: train with --set discriminator_sees=state")
         return table
-    row("actions at the end of their range", f"{100 * facts['clipped_actions']:.0f} %")
-    row(
-        "R² of a linear policy",
-        f"{facts['r_squared']:.2f} on steps held out, "
-        f"{facts['r_squared_without_intercept']:.2f} without an intercept",
-    )
+    row("actions at their limits", f"{100 * facts['clipped_actions']:.0f} %")
+    plain = facts["r_squared_without_intercept"]
+    row("R² of a linear policy", f"{facts['r_squared']:.2f}, {plain:.2f} without an intercept")
     for kind in ("linear", "neural"):
         value = facts[f"{kind}_clone_return"]
         share = percentage(value, expert)

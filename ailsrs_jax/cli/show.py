@@ -114,8 +114,8 @@ def export(
 
     Args:
         policy: A policy.npz or .safetensors, or the directory of a run with one seed.
-        output: A file that ends in .onnx, .safetensors or .npz; or a new directory for all three
-            and a model card for the Hugging Face Hub.
+        output: A file that ends in .onnx, .safetensors, .npz or .h (C); or a new directory for all
+            of them and a model card for the Hugging Face Hub.
         episodes: Episodes for the return in the model card.
         episode_length: Steps of these; by default those of the run that the policy is in, else the
             environment's time limit.

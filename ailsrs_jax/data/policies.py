@@ -123,11 +123,12 @@ class SavedPolicy(ABC):
             )
 
     def save(self, path: str | Path) -> None:
-        """Write a ``.npz``, ``.safetensors`` or ``.onnx`` file atomically.
+        """Write a ``.npz``, ``.safetensors``, ``.onnx`` or ``.h`` file atomically.
 
-        The first two hold everything, and :func:`load_policy` reads them. ONNX is for other
-        programs. Its input is ``observation``, float32 ``(batch, n)``; its output is the clipped
-        ``action``, float32 ``(batch, p)``, which is the mean action of a stochastic policy.
+        The first two hold everything, and :func:`load_policy` reads them. The others are for other
+        programs. A C header has the function ``policy_act``, in float64. ONNX is in float32. Its
+        input is ``observation``, ``(batch, n)``; its output is the clipped ``action``,
+        ``(batch, p)``, which is the mean action of a stochastic policy.
 
         >>> import ailsrs_jax as ail
         >>> ail.load_expert("swimmer").save("policy.onnx")

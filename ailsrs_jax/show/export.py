@@ -35,12 +35,12 @@ def export(
     >>> evaluation = ail.export(ail.load_expert("swimmer"), "swimmer", num_episodes=2)
     >>> from pathlib import Path
     >>> sorted(path.name for path in Path("swimmer").iterdir())
-    ['README.md', 'policy.npz', 'policy.onnx', 'policy.safetensors']
+    ['README.md', 'policy.h', 'policy.npz', 'policy.onnx', 'policy.safetensors']
 
     Args:
         source: a policy, its file, or a run directory of one seed.
-        output: a file that ends in .npz, .safetensors or .onnx; or a new directory for files of all
-            three kinds and a model card. The card says what the policy is, how good it is and, if
+        output: a file that ends in .npz, .safetensors, .onnx or .h; or a new directory for files of
+            all kinds and a model card. The card says what the policy is, how good it is and, if
             ``source`` is in a run directory, how it was made.
         num_episodes: the number of episodes for the return in the model card.
         physics: the physics of these episodes, as in

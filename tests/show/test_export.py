@@ -85,7 +85,7 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
     arguments = ["run", "--output", "out", "--episodes", 2, "--license", "mit"]
     assert ailsrs(monkeypatch, "export", *arguments) == 0
     printed = capsys.readouterr().out
-    names = ["README.md", "policy.npz", "policy.onnx", "policy.safetensors"]
+    names = ["README.md", "policy.h", "policy.npz", "policy.onnx", "policy.safetensors"]
     assert sorted(path.name for path in Path("out").iterdir()) == names
 
     card = Path("out/README.md").read_text()

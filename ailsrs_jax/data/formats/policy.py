@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ailsrs_jax.data.formats.c_header import encode_c_header
 from ailsrs_jax.data.formats.npz import encode_npz, read_npz
 from ailsrs_jax.data.formats.onnx import encode_onnx
 from ailsrs_jax.data.formats.safetensors import encode_safetensors, read_safetensors
@@ -35,6 +36,7 @@ FORMATS = {
     ".npz": Format("numpy", lambda arrays, text: encode_npz({**arrays, **text}), read_npz),
     ".safetensors": Format("safetensors", encode_safetensors, read_safetensors),
     ".onnx": Format("onnx", encode_onnx, None),
+    ".h": Format("numpy", encode_c_header, None),
 }
 
 
@@ -59,9 +61,11 @@ def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
     Raises:
         UserError: the file is missing, has another format, or its contents contradict one another.
     """
-    read = require_format(path).read if path.suffix in (".safetensors", ".onnx") else read_npz
+    read = require_format(path).read if path.suffix in set(FORMATS) - {".npz"} else read_npz
     if read is None:
-        raise UserError(f"{path}: ONNX is for other programs; read a .npz or .safetensors file")
+        raise UserError(
+            f"{path}: {path.suffix} is for other programs; read a .npz or .safetensors file"
+        )
     arrays = read(path, (*COMMON_ARRAYS, "env_id"), "a policy", ("weights", *MLP_ARRAYS))
     env_id = arrays.pop("env_id")
 

@@ -253,7 +253,7 @@ def test_other_suffixes_are_refused(tmp_path: Path) -> None:
             policy.save(tmp_path / name)
     assert not list(tmp_path.iterdir())
     policy.save(tmp_path / "policy.onnx")
-    with pytest.raises(UserError, match="ONNX is for other programs"):
+    with pytest.raises(UserError, match=r"\.onnx is for other programs"):
         load_policy(tmp_path / "policy.onnx")
     with pytest.raises(UserError, match="no such file"):
         load_policy(tmp_path / "missing.safetensors")

@@ -1,5 +1,6 @@
 """The command ``ailsrs inspect``."""
 
+import dataclasses
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +10,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
-from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, percentage
+from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, percentage
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,17 +25,23 @@ def inspect(
     env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
-    """Tell what demonstrations hold, and whether they are of the environment.
+    """Tell what demonstrations hold, and whether they are of the environment; or how a run went.
 
     Example: ailsrs inspect mine.npz
+
+    Example: ailsrs inspect runs/hopper
 
     Example: ailsrs inspect minari:mujoco/hopper/expert-v0 hopper --json
 
     Args:
-        demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library.
+        demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library; or
+            the directory of a run, which is judged without the environment's reward.
         task: The environment, named as for ailsrs train; by default the one that a .npz file names.
         num_trajectories: Inspect the first N episodes; by default all.
     """
+    if Path(demonstrations, "config.json").is_file():
+        _print_run(Path(demonstrations), terminal)
+        return
     from ailsrs_jax.data.demonstrations import load_demonstrations
     from ailsrs_jax.data.sources import open_source
     from ailsrs_jax.envs.registry import open_env, require_harmless, resolve_env_id
@@ -66,6 +73,20 @@ def inspect(
         for problem in found.problems or ["no problem found"]:
             terminal.line(f"· {problem}")
         terminal.line(f"try: {command}")
+
+
+def _print_run(directory: Path, terminal: Terminal) -> None:
+    from ailsrs_jax.runs.run_inspection import inspect_run
+
+    seeds = inspect_run(directory)
+    terminal.json({"seeds": [dataclasses.asdict(seed) for seed in seeds]})
+    for seed in [] if terminal.as_json else seeds:
+        terminal.line(
+            f"seed {seed.seed}: {seed.verdict} at iteration {seed.kept_iteration}, distance "
+            f"{seed.distance:.2f}"
+        )
+        for reason in seed.reasons:
+            terminal.line(f"· {reason}")
 
 
 def _table(found: "Inspection", env_id: str) -> Table:

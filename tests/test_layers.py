@@ -23,12 +23,13 @@ BELOW: dict[str, set[str]] = {
 TRAINING = {"workers", "components", "envs", "envs/physics", "envs/tasks", "data", "data/formats"}
 for folder in (
     *("trainers/parts", "trainers", "runs/storage", "runs"),
-    *("runs/experts", "runs/benchmark"),
+    *("runs/experts", "runs/benchmark", "runs/inspection"),
     *("sweeps", "show", "cli"),
 ):
     BELOW[folder] = set(TRAINING)
     TRAINING.add(folder)
 BELOW["runs/benchmark"].remove("runs/experts")
+BELOW["runs/inspection"] -= {"runs/experts", "runs/benchmark"}
 MOST_LINES = 300
 MOST_FILES = 13  # in a folder, without __init__
 

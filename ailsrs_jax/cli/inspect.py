@@ -14,7 +14,7 @@ from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, percent
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
-    from ailsrs_jax.runs.inspection import Inspection
+    from ailsrs_jax.runs.inspection.demonstrations import Inspection
 
 
 def inspect(
@@ -46,7 +46,7 @@ def inspect(
     from ailsrs_jax.data.sources import open_source
     from ailsrs_jax.envs.registry import open_env, require_harmless, resolve_env_id
     from ailsrs_jax.runs.devices import set_up_jax
-    from ailsrs_jax.runs.inspection import inspect_demonstrations
+    from ailsrs_jax.runs.inspection.demonstrations import inspect_demonstrations
     from ailsrs_jax.runs.training_data import require_fit
 
     set_up_jax()
@@ -76,7 +76,7 @@ def inspect(
 
 
 def _print_run(directory: Path, terminal: Terminal) -> None:
-    from ailsrs_jax.runs.run_inspection import inspect_run
+    from ailsrs_jax.runs.inspection.run import inspect_run
 
     seeds = inspect_run(directory)
     terminal.json({"seeds": [dataclasses.asdict(seed) for seed in seeds]})

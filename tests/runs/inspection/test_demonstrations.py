@@ -7,7 +7,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.runs.inspection import compare_steps, inspect_demonstrations
+from ailsrs_jax.runs.inspection.demonstrations import compare_steps, inspect_demonstrations
 
 NUM_STEPS = 150
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.run_inspection import inspect_run, reasons
+from ailsrs_jax.runs.inspection.run import inspect_run, reasons
 from tests.runs.toy_run import SEEDS, plan, run
 
 HEALTHY: dict[str, Any] = {

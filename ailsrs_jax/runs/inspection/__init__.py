@@ -1,0 +1,1 @@
+"""Tell what demonstrations hold, and how a run went."""

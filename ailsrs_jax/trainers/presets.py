@@ -70,7 +70,6 @@ AILSRS: Presets = {
         # Episodes do not end early here, so whole ones cost more.
         "HalfCheetah-v5": {
             **_SHORT_EPISODES,
-            "num_iterations": 30,
             "num_directions": 32,
             "num_top_directions": 16,
             "step_size": 0.04,
@@ -78,7 +77,7 @@ AILSRS: Presets = {
             "num_starts": 2,
             "demonstrated_starts": 0.5,
             "averaging": 0.5,
-            "num_evaluation_episodes": 4,
+            "num_evaluation_episodes": 12,
         },
         "Swimmer-v5": {"num_iterations": 6},
     },

@@ -126,7 +126,7 @@ class Fragile(Mass):
     """Raises an exception once, in the course of a training."""
 
     def step(self, action: np.ndarray) -> Any:
-        if self.np_random.uniform() < 0.0005 and happens_first(1):
+        if self.np_random.uniform() < 0.005 and happens_first(1):
             raise OSError("the simulator has lost its licence")
         return super().step(action)
 

@@ -139,7 +139,8 @@ def test_the_same_command_gives_the_same_bits(tmp_path: Path) -> None:
         once, again = ((tmp_path / run / name).read_bytes() for run in ("once", "again"))
         assert once == again, name
     # 2N perturbed episodes and the evaluation episodes; the swimmer's never end early.
-    episodes = 2 * 2 + made.config.settings.num_evaluation_episodes
+    settings = made.config.settings
+    episodes = settings.updates_per_iteration * 2 * 2 + settings.num_evaluation_episodes
     steps = [int(row["env_steps"]) for row in read_rows(tmp_path / "once")[::2]]
     assert steps == [10 * episodes, 2 * 10 * episodes]
 

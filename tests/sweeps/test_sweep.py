@@ -156,7 +156,7 @@ def test_a_preset_that_has_changed_since(demonstrations: str) -> None:
     sweep.save(Path("sweep.json"))
     (cell,) = sweep.cells
     changed = dataclasses.replace(cell, all_settings=cell.all_settings | {"step_size": 0.5})
-    with pytest.raises(ail.UserError, match=r"step_size of .* is 0\.5, was 0\.02; choose"):
+    with pytest.raises(ail.UserError, match=r"step_size of .* is 0\.5, was 0\.03; choose"):
         dataclasses.replace(sweep, cells=(changed,)).save(Path("sweep.json"))
 
 

@@ -100,7 +100,7 @@ def test_mistakes(point_mass: PointMass, point_mass_expert: Demonstrations) -> N
             "validation_fraction": 1.5,
         },
         "batch_size is 7: it must be a multiple": {"algorithm": "gail", "batch_size": 7},
-        "reward_after_end is 0.85: imitation_reward=airl": {"imitation_reward": "airl"},
+        "reward_after_end is 0.5: imitation_reward=airl": {"imitation_reward": "airl"},
         "it must be least_squares, cross_entropy or a function": {"discriminator_loss": "hinge"},
     }
     for message, arguments in calls.items():

@@ -60,7 +60,7 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
 
 **What differs from the paper**
 
-- *AILSRS's settings* are those of the [tuned presets](../docs/algorithms.md#presets-of-ailsrs), not
+- *AILSRS's settings* are those of [former presets](../docs/algorithms.md#presets-of-ailsrs), not
   those of Table I. There are 32 directions instead of 320, and 16 on Hopper. Every task starts from
   behaviour cloning. Observations are in units of the expert's standard deviation. There is a
   gradient penalty and a memory of past policies. The steps that are missing after a fall count

@@ -318,6 +318,21 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
     assert summary in readme
 
 
+def test_the_readme_agrees_with_the_results_of_the_search() -> None:
+    cells = results.read_all(results.RESULTS)["search"].cells
+    table = [line for line in README.read_text().splitlines() if line.startswith("| ")]
+    by_task = {
+        task: [cell for cell in cells if cell.env_id == task] for task in (CHEETAH, HOPPER, SWIMMER)
+    }
+    assert all(sorted(cell.seed for cell in each) == list(range(10)) for each in by_task.values())
+    returns = [np.array([cell.normalized for cell in each]) for each in by_task.values()]
+    for name, shown in (
+        ("mean", [plus_minus(values, 2) for values in returns]),
+        ("worst seed", [f"{values.min():.2f}" for values in returns]),
+    ):
+        assert f"| {name} | {' | '.join(shown)} |" in table, name
+
+
 def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
     """docs/algorithms.md says so; on Walker2d a return counts at most as much as the expert's."""
     sweeps = results.read_all(results.RESULTS)

@@ -119,8 +119,9 @@ class Ailsrs(Trainer):
         episodes = self.simulate(state, deltas, start_key)
         memory = self.remember(state.memory, episodes, memory_key)
         adversary, scores = self.train_adversary(state, memory, adversary_key)
-        returns = self.simulator.place(self.judge(adversary, episodes, distance_key))
-        weights = self.tell(state, deltas, returns)
+        returns = self.simulator.place(self.judge(adversary, episodes))
+        compared = self.simulator.place(self.compare(returns, episodes, distance_key))
+        weights = self.tell(state, deltas, compared)
         decay = self.settings.averaging
         metrics = {"imitation_reward": mean_of_finite(returns), **scores, **episodes.counts()}
         state = state.replace(
@@ -183,39 +184,37 @@ class Ailsrs(Trainer):
         result: tuple[AdversaryState, Metrics] = jax.lax.fori_loop(0, rounds, train, untrained)
         return result
 
-    def judge(self, adversary: AdversaryState, episodes: Episodes, key: jax.Array) -> jax.Array:
-        """Return the imitation returns ``(2, N)`` of the perturbed policies.
+    def judge(self, adversary: AdversaryState, episodes: Episodes) -> jax.Array:
+        """Return the imitation returns ``(2, N)``, means of r̄ (ρ + (1 − ρ) L / T) over episodes.
 
-        A return is the mean of r̄ (ρ + (1 − ρ) L / T) over the policy's episodes: r̄ is the mean
-        reward of the L live steps, and ρ the worth of those after the end. A mean over live steps
-        does not see a fall. A sum of positive rewards pays a policy for standing still. Between the
-        two, both lose. The return of an episode that diverged is NaN.
-
-        A share of the return can be the energy distance of the policy's episodes to the expert's.
-        Both parts are then divided by their standard deviation over the policies.
+        r̄ is the mean reward of its L live steps, and ρ the worth of those after its end. A mean
+        over live steps does not see a fall. A sum of positive rewards pays a policy for standing
+        still. Between the two, both lose. The return of an episode that diverged is NaN.
         """
-        settings = self.settings
         num_seen = self.adversary.num_seen(episodes.usable_lengths)
         totals = episodes.sum_over_steps(
             lambda *steps: self.adversary.rewards(adversary, self.adversary.inputs(*steps)),
             num_seen,
         )
-        worth = settings.reward_after_end
-        lasted = episodes.lengths / settings.perturbed_length
+        worth = self.settings.reward_after_end
+        lasted = episodes.lengths / self.settings.perturbed_length
         returns = totals / num_seen * (worth + (1.0 - worth) * lasted)
         returns = jnp.where(episodes.diverged, jnp.nan, returns)
-        returns = returns.reshape(2, -1, settings.num_starts).mean(axis=-1)
-        if not is_used(settings.energy_share):
+        return returns.reshape(2, -1, self.settings.num_starts).mean(axis=-1)
+
+    def compare(self, returns: jax.Array, episodes: Episodes, key: jax.Array) -> jax.Array:
+        """Give the energy distance to the expert its share of the ``returns (2, N)``.
+
+        Both parts are in units of their standard deviation over the policies.
+        """
+        settings, share = self.settings, self.settings.energy_share
+        if not is_used(share):
             return returns
+        num_groups, limit = 2 * settings.num_directions, settings.perturbed_length
         distances = self.reference.distances(
-            key,
-            episodes,
-            settings.perturbed_length,
-            num_groups=2 * settings.num_directions,
-            num_samples=SAMPLES_OF_A_RETURN,
-        )
-        share = settings.energy_share
-        return (1.0 - share) * in_units(returns) - share * in_units(distances.reshape(2, -1))
+            key, episodes, limit, num_groups, SAMPLES_OF_A_RETURN
+        ).reshape(2, -1)
+        return (1.0 - share) * in_units(returns) - share * in_units(distances)
 
     def tell(self, state: TrainState, deltas: jax.Array, returns: jax.Array) -> jax.Array:
         """Step along the directions ``deltas`` that had the highest ``returns (2, N)``."""

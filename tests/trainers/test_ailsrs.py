@@ -133,7 +133,7 @@ def test_reward_of_a_rollout_in_closed_form(
         final_observations=jnp.zeros((6, 2)),
         slot_steps=lengths.sum(),
     )
-    returns = trainer.judge(adversary, episodes, jax.random.key(2)).ravel()
+    returns = trainer.judge(adversary, episodes).ravel()
     assert np.isnan(returns[5])
     logit = functools.partial(Discriminator().apply, adversary.parameters)
     mean, std = trainer.reference.statistics.mean, trainer.reference.statistics.std

@@ -120,8 +120,8 @@ def test_a_return_is_the_mean_over_the_starts(changed: Any) -> None:
         trainer, settings=dataclasses.replace(trainer.settings, num_starts=1)
     )
     np.testing.assert_allclose(
-        trainer.judge(state.adversary, episodes, jax.random.key(3)),
-        one_each.judge(state.adversary, episodes, jax.random.key(3)).reshape(2, 4, 2).mean(axis=-1),
+        trainer.judge(state.adversary, episodes),
+        one_each.judge(state.adversary, episodes).reshape(2, 4, 2).mean(axis=-1),
         rtol=1e-6,
     )
 
@@ -215,7 +215,8 @@ def test_the_energy_distance_is_a_share_of_the_return(changed: Any) -> None:
         state = trainer.init(jax.random.key(0))
         far = jnp.zeros((4, 1, 3)).at[0, 0].set(jnp.array([30.0, 10.0, 0.0]))
         episodes = trainer.simulate(state, far, jax.random.key(2))
-        return np.asarray(trainer.judge(state.adversary, episodes, jax.random.key(3)))
+        judged = trainer.judge(state.adversary, episodes)
+        return np.asarray(trainer.compare(judged, episodes, jax.random.key(3)))
 
     reward, mixed, distance = (returns(share) for share in (0.0, 0.25, 1.0))
     assert np.std(distance) == pytest.approx(1.0, rel=1e-4)

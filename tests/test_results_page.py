@@ -1,5 +1,6 @@
 """The rules and verdicts of experiments/RESULTS.md, and claims that are not yet run."""
 
+import csv
 import dataclasses
 import json
 import re
@@ -16,6 +17,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.show.sweep_report import estimate, plus_minus
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.statistics import group_cells, interquartile_mean, scores
+from ailsrs_jax.trainers.parts import reference
 from tests.sweeps.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="the package is installed without them")
@@ -331,6 +333,20 @@ def test_the_readme_agrees_with_the_results_of_the_search() -> None:
         ("worst seed", [f"{values.min():.2f}" for values in returns]),
     ):
         assert f"| {name} | {' | '.join(shown)} |" in table, name
+    kept = {(cell.cell, f"{cell.kept_iteration:.0f}"): cell.normalized for cell in cells}
+    verdicts: dict[str, list[float]] = {}
+    with (results.RESULTS / "search" / "curves.csv").open() as file:
+        for line in csv.DictReader(file):
+            value = kept.get((line["cell"], line["iteration"]))
+            if value is not None:
+                judged = reference.verdict(float(line["expert_distance"]))
+                verdicts.setdefault(judged, []).append(value)
+    close, in_part = (verdicts[name] for name in ("close to the expert", "in part like the expert"))
+    assert len(close) + len(in_part) == len(cells)
+    assert (
+        f"The {len(close)} policies that it calls *close to the expert* return {min(close):.2f} or "
+        f"more, the {len(in_part)} that are *in part like the expert* {max(in_part):.2f} or less."
+    ) in README.read_text()
 
 
 def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:

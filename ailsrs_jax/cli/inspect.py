@@ -67,6 +67,10 @@ def inspect(
         found = inspect_demonstrations(loaded, opened.env)
     name = shlex.quote(demonstrations)
     command = f"ailsrs train {shlex.quote(task or env_id)} --demonstrations {name}"
+    if num_trajectories is not None:
+        command += f" --num-trajectories {num_trajectories}"
+    if loaded.actions is None:
+        command += " --set discriminator_sees=state behavior_cloning_start=false"
     terminal.json({"env_id": env_id, **found.facts, "problems": found.problems, "try": command})
     if not terminal.as_json:
         terminal.console.print(_table(found, env_id))
@@ -107,7 +111,7 @@ def _table(found: "Inspection", env_id: str) -> Table:
         share = 100 * facts["difference_to_simulation"]
         row("simulated steps differ by", f"{share:.1f} % of what a step changes")
     if "linear_clone_return" not in facts:
-        row("actions", "none: train with --set discriminator_sees=state")
+        row("actions", "none")
         return table
     row("actions at their limits", f"{100 * facts['clipped_actions']:.0f} %")
     plain = facts["r_squared_without_intercept"]

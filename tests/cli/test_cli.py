@@ -127,7 +127,7 @@ def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
     printed = capsys.readouterr().out
     assert re.search(r"transitions +1000\b", printed)
     assert "simulated steps differ by           0.0 %" in printed
-    assert "try: ailsrs train Swimmer-v5 --demonstrations own.npz" in printed
+    assert "train Swimmer-v5 --demonstrations own.npz --num-trajectories 1" in printed
     assert ailsrs(monkeypatch, "inspect", "own.npz", "hopper") == 2
     assert "are of Swimmer-v5, not of Hopper-v5" in capsys.readouterr().err
     assert ailsrs(monkeypatch, "inspect", "minari:swimmer/own-v0") == 2

@@ -33,12 +33,14 @@ def inspect_run(directory: Path) -> list[SeedInspection]:
         UserError: the directory holds no run, or one of an algorithm that does not imitate.
     """
     run = read_run(directory)
-    if "expert_distance" not in run.metrics:
+    if not {"expert_distance", "evaluation_length"} <= set(run.metrics):
         raise UserError(f"{directory} is of an algorithm that does not measure its distance")
     found = []
     for seed, kept in run.kept_iterations.items():
         rows = run.metrics["seed"] == seed
         metrics = {name: values[rows] for name, values in run.metrics.items()}
+        if kept not in metrics["iteration"]:
+            raise UserError(f"{directory}: metrics.csv has no iteration {kept} of seed {seed}")
         index = int(np.flatnonzero(metrics["iteration"] == kept)[0])
         distance = float(metrics["expert_distance"][index])
         length = run.demonstrated_length

@@ -179,7 +179,8 @@ def unlike_the_others(reference: Reference, horizon: int, times: float) -> np.nd
 
     keys = jax.random.split(jax.random.key(1), len(points))
     distances = np.asarray(jax.lax.map(distance, (keys, points, reference.lengths)))
-    return distances > times * np.median(distances)
+    # Rounding is no difference: where all episodes are the same, none is unlike the others.
+    return distances > times * max(float(np.median(distances)), 1e-4 * float(spread))
 
 
 def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:

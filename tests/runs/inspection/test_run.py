@@ -48,6 +48,10 @@ def test_a_run_is_judged(in_tmp_path: Path) -> None:
     for seed in found:
         assert seed.distance == pytest.approx(-result.scores[seed.seed], rel=1e-5)
         assert seed.kept_iteration == result.kept_iterations[seed.seed]
+    path = Path("out/metrics.csv")
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
+    with pytest.raises(UserError, match=r"metrics.csv has no iteration \d of seed \d"):
+        inspect_run(Path("out"))
     run(plan(2, "ars"), Path("rewarded"))
     with pytest.raises(UserError, match="does not measure its distance"):
         inspect_run(Path("rewarded"))

@@ -95,3 +95,15 @@ def test_demonstrations_that_are_unlike_most_are_left_out(caplog: pytest.LogCapt
         atol=1e-5,
     )
     assert len(make_reference(changed, TIME_LIMIT, NUM_SAMPLES).lengths) == 20
+
+
+def test_of_equal_demonstrations_none_is_left_out() -> None:
+    one = episodes(1, seed=0)
+    same = one.replace(
+        observations=np.repeat(one.observations, 4, axis=0) * 0.0,
+        actions=np.repeat(one.actions, 4, axis=0) * 0.0,
+        lengths=np.repeat(one.lengths, 4),
+        returns=np.zeros(4, np.float32),
+    )
+    reference = make_reference(same, TIME_LIMIT, NUM_SAMPLES, leave_out_beyond=5.0)
+    assert len(reference.lengths) == 4

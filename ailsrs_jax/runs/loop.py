@@ -127,7 +127,7 @@ class _Run:
         )
 
     def _num_done(self, progress: Progress) -> int:
-        return int(np.asarray(progress["state"].iteration)[self._lane or 0])
+        return int(np.max(self._part(progress)["state"].iteration))
 
     def _part(self, progress: Progress) -> Progress:
         if self._lane is None:
@@ -202,7 +202,7 @@ def execute(
 
     def update(state: Any, part: Any) -> tuple[Any, dict[str, jax.Array]]:
         new_state, metrics = make_trainer(part).update(state)
-        if is_stack and hasattr(state, "finished"):  # a finished run waits for the others
+        if hasattr(state, "finished"):  # a finished lane waits for the others
             new_state = jax.tree.map(
                 lambda old, new: jnp.where(state.finished, old, new), state, new_state
             )

@@ -14,13 +14,12 @@ from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_times
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.adversary import SCORES, Adversary, AdversaryState
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.policy_space import PolicySpace
-from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.reference import CLOSE, Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
 from ailsrs_jax.trainers.parts.starts import draw_starts
@@ -42,6 +41,7 @@ class TrainState(struct.PyTreeNode):
     key: jax.Array
     iteration: jax.Array  # () int32
     num_updates: jax.Array  # () int32, steps of the search so far
+    finished: jax.Array  # () bool, a cycle has ended with a policy close to the expert
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,6 +77,7 @@ class Ailsrs(Trainer):
             key=key,
             iteration=jnp.zeros((), jnp.int32),
             num_updates=jnp.zeros((), jnp.int32),
+            finished=jnp.zeros((), bool),
         )
 
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
@@ -108,7 +109,10 @@ class Ailsrs(Trainer):
             )
         update_keys = jax.random.split(updates_key, settings.updates_per_iteration)
         state, metrics = jax.lax.scan(self.search, state, update_keys)
-        state = state.replace(kept=kept, key=key, iteration=state.iteration + 1)
+        iteration = state.iteration + 1
+        at_end = iteration % settings.cycle == 0
+        finished = at_end & (-kept.score <= CLOSE)
+        state = state.replace(kept=kept, key=key, iteration=iteration, finished=finished)
         return state, with_evaluation(over_updates(metrics), evaluated)
 
     def search(self, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
@@ -135,9 +139,9 @@ class Ailsrs(Trainer):
         return state, metrics
 
     def done(self, state: TrainState) -> jax.Array:
-        """Return which part of the search is done, from 0 at its first step to 1 at its last."""
-        last = self.settings.num_iterations * self.settings.updates_per_iteration - 1
-        return jnp.minimum(state.num_updates / max(last, 1), 1.0)  # ``update`` may be called again
+        """Return which part of the cycle is done, from 0 at its first step to 1 at its last."""
+        length = self.settings.cycle * self.settings.updates_per_iteration
+        return state.num_updates % length / max(length - 1, 1)
 
     def ask(self, key: jax.Array) -> jax.Array:
         """Draw ``deltas (N, p, n + 1)``, the directions in which the policy is perturbed."""
@@ -271,16 +275,7 @@ def make_ailsrs(
             demonstrations do not hold what the settings need.
     """
     validate(settings)
-    if settings.imitation_reward == "airl" and settings.reward_after_end != 1.0:
-        raise UserError(
-            f"reward_after_end is {settings.reward_after_end}: imitation_reward=airl, which is "
-            "negative where the policy is told apart, would reward an early end; set it to 1"
-        )
-    if settings.recentre_beyond and settings.standardize_with == "running":
-        raise UserError(
-            "recentre_beyond needs standardize_with=expert: running statistics have changed what "
-            "the weights of the kept policy do"
-        )
+    settings.require_consistent()
     remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
     require_countable(remembered + settings.steps_per_iteration)
     reference = make_reference(

@@ -143,6 +143,31 @@ def test_a_stack_goes_on_where_some_are_finished(
         np.testing.assert_array_equal(resumed.policies[0].weights, whole[index].policies[0].weights)
 
 
+def test_a_seed_that_has_finished_waits_for_the_others(
+    point_mass: PointMass, point_mass_expert: Demonstrations, tmp_path: Path
+) -> None:
+    settings = {"num_iterations": 30, "patience": 1, "learning_rate": 1e-3}
+
+    def train(*seeds: int) -> tuple[dict[str, np.ndarray], Any]:
+        name = tmp_path / "-".join(map(str, seeds))
+        run = one_device(
+            point_mass, point_mass_expert, algorithm="bc", seeds=seeds, settings=settings
+        )
+        (result,) = execute([run], [name])
+        return metrics(name), result
+
+    both, together = train(0, 1)
+    lengths = []
+    for seed in (0, 1):
+        own, alone = train(seed)
+        lengths.append(len(own["iteration"]))
+        mine = both["seed"] == seed
+        assert both["env_steps"][mine][-1] == own["env_steps"][-1]
+        assert together.kept_iterations[seed] == alone.kept_iterations[seed]
+    assert lengths[0] != lengths[1], lengths
+    assert mine.sum() == max(lengths)
+
+
 def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -> None:
     env = ExplodingPointMass(share=0.45)
     cells = [

@@ -16,6 +16,7 @@ from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
+from ailsrs_jax.trainers.parts.reference import CLOSE
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
 SMALL = AilsrsSettings(
@@ -154,11 +155,11 @@ def test_noise_and_penalty_fall(changed: Any) -> None:
     )
     deltas = jnp.ones((4, 1, 3))
     spreads = []
-    for num_updates in (0, 1, 2, 9):
+    for num_updates in (0, 1, 2, 3):
         state = trainer.init(jax.random.key(0)).replace(num_updates=jnp.array(num_updates))
         actions = trainer.simulate(state, deltas, jax.random.key(1)).actions[:, 0, 0]
         spreads.append(float(actions[0] - actions[-1]))
-    np.testing.assert_allclose(np.divide(spreads, spreads[0]), [1, 0.5, 0.25, 0.25], rtol=1e-3)
+    np.testing.assert_allclose(np.divide(spreads, spreads[0]), [1, 0.5, 0.25, 1], rtol=1e-3)
 
 
 def test_the_discriminator_is_trained_longer_before_the_first_step(changed: Any) -> None:
@@ -240,3 +241,18 @@ def test_the_search_goes_on_from_the_kept_policy(changed: Any) -> None:
         assert (np.abs(np.asarray(state.weights)[:, :-1] - kept).max() < 1e-6) == returns
     with pytest.raises(UserError, match="recentre_beyond needs standardize_with=expert"):
         changed(recentre_beyond=2.0, standardize_with="running")
+
+
+@pytest.mark.parametrize("close", [True, False])
+def test_training_ends_after_a_cycle_that_came_close(close: bool, changed: Any) -> None:
+    trainer = changed(num_iterations=4, cycle_iterations=2)
+    update, distance = jax.jit(trainer.update), CLOSE / 2 if close else CLOSE * 2
+    state = trainer.init(jax.random.key(0))
+    kept = state.kept.replace(score=jnp.full((), -distance))
+    finished, done = [], []
+    for _ in range(4):
+        state, _ = update(state.replace(kept=kept))
+        finished.append(bool(state.finished))
+        done.append(float(trainer.done(state)))
+    assert finished == [False, close, False, close]
+    assert done == [1.0, 0.0, 1.0, 0.0]

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.adversary import AdversarySettings
 from ailsrs_jax.trainers.parts.settings import Entries, FromZero, Positive, PositiveUpToOne, UpToOne
 
@@ -15,13 +16,16 @@ class AilsrsSettings(AdversarySettings):
     """
 
     num_iterations: int = 100_000
+    #: iterations of a cycle, the schedule of step size, noise and penalty; training ends after a
+    #: cycle if a policy close to the expert is kept; 0: all are one cycle
+    cycle_iterations: FromZero = 0
     updates_per_iteration: int = 1  #: steps of the search between two evaluations
     num_directions: int = 320
     num_top_directions: int = 320  #: the paper uses all
     step_size: Positive = 0.02
-    final_step_size: float = 0.02  #: reached linearly at the last iteration
+    final_step_size: float = 0.02  #: reached linearly at the end of a cycle
     noise_std: Positive = 0.03
-    noise_decay: PositiveUpToOne = 1.0  #: the share of ``noise_std`` that is left at the end
+    noise_decay: PositiveUpToOne = 1.0  #: the share of ``noise_std`` that is left then
     episode_length: int = 1000  #: the time limit of an evaluation
     search_length: FromZero = 0  #: the time limit of a perturbed policy; 0: ``episode_length``
     num_starts: int = 1  #: episodes of each perturbed policy in an update
@@ -46,6 +50,11 @@ class AilsrsSettings(AdversarySettings):
     num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 
     @property
+    def cycle(self) -> int:
+        """Iterations of a cycle."""
+        return min(self.cycle_iterations or self.num_iterations, self.num_iterations)
+
+    @property
     def perturbed_length(self) -> int:
         """The time limit of a perturbed policy's episode, in environment steps."""
         return min(self.search_length or self.episode_length, self.episode_length)
@@ -60,3 +69,16 @@ class AilsrsSettings(AdversarySettings):
         """Environment steps that an iteration simulates at most."""
         search = self.updates_per_iteration * self.num_perturbed * self.perturbed_length
         return search + self.num_evaluation_episodes * self.episode_length
+
+    def require_consistent(self) -> None:
+        """Raise UserError if two settings do not go together."""
+        if self.imitation_reward == "airl" and self.reward_after_end != 1.0:
+            raise UserError(
+                f"reward_after_end is {self.reward_after_end}: imitation_reward=airl, which is "
+                "negative where the policy is told apart, would reward an early end; set it to 1"
+            )
+        if self.recentre_beyond and self.standardize_with == "running":
+            raise UserError(
+                "recentre_beyond needs standardize_with=expert: running statistics have changed "
+                "what the weights of the kept policy do"
+            )

@@ -19,7 +19,7 @@ from ailsrs_jax.trainers.parts.adversary import SCORES, Adversary, AdversaryStat
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.policy_space import PolicySpace
-from ailsrs_jax.trainers.parts.reference import CLOSE, Reference, make_reference
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
 from ailsrs_jax.trainers.parts.starts import draw_starts
@@ -111,7 +111,7 @@ class Ailsrs(Trainer):
         state, metrics = jax.lax.scan(self.search, state, update_keys)
         iteration = state.iteration + 1
         at_end = iteration % settings.cycle == 0
-        finished = at_end & (-kept.score <= CLOSE)
+        finished = at_end & (-kept.score <= settings.finish_distance)
         state = state.replace(kept=kept, key=key, iteration=iteration, finished=finished)
         return state, with_evaluation(over_updates(metrics), evaluated)
 

@@ -25,10 +25,13 @@ AILSRS: Presets = {
     # episode's end and the energy distance make a fall cost something. The expert's fixed
     # statistics keep a cloned policy what it was: running ones change the meaning of its weights
     # with every observation. Few directions mean many steps of the search, and recentring undoes
-    # those that lead away.
+    # those that lead away. A seed that has not come close when its steps are small gets another
+    # cycle, up to two times.
     "tuned": {
         ANY_TASK: {
-            "num_iterations": 28,
+            "num_iterations": 84,
+            "cycle_iterations": 28,
+            "finish_distance": 0.2,
             "updates_per_iteration": 2,
             "num_directions": 16,
             "num_top_directions": 4,
@@ -70,6 +73,7 @@ AILSRS: Presets = {
         # Episodes do not end early here, so whole ones cost more.
         "HalfCheetah-v5": {
             **_SHORT_EPISODES,
+            "num_iterations": 28,
             "num_directions": 32,
             "num_top_directions": 16,
             "step_size": 0.04,

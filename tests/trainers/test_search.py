@@ -16,7 +16,6 @@ from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
-from ailsrs_jax.trainers.parts.reference import CLOSE
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
 SMALL = AilsrsSettings(
@@ -245,8 +244,8 @@ def test_the_search_goes_on_from_the_kept_policy(changed: Any) -> None:
 
 @pytest.mark.parametrize("close", [True, False])
 def test_training_ends_after_a_cycle_that_came_close(close: bool, changed: Any) -> None:
-    trainer = changed(num_iterations=4, cycle_iterations=2)
-    update, distance = jax.jit(trainer.update), CLOSE / 2 if close else CLOSE * 2
+    trainer = changed(num_iterations=4, cycle_iterations=2, finish_distance=0.2)
+    update, distance = jax.jit(trainer.update), 0.1 if close else 0.4
     state = trainer.init(jax.random.key(0))
     kept = state.kept.replace(score=jnp.full((), -distance))
     finished, done = [], []

@@ -16,9 +16,9 @@ class AilsrsSettings(AdversarySettings):
     """
 
     num_iterations: int = 100_000
-    #: iterations of a cycle, the schedule of step size, noise and penalty; training ends after a
-    #: cycle if a policy close to the expert is kept; 0: all are one cycle
+    #: iterations of a cycle, the schedule of step size, noise and penalty; 0: all are one cycle
     cycle_iterations: FromZero = 0
+    finish_distance: Positive = 0.3  #: training ends after a cycle if that of the kept is smaller
     updates_per_iteration: int = 1  #: steps of the search between two evaluations
     num_directions: int = 320
     num_top_directions: int = 320  #: the paper uses all

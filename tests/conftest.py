@@ -25,13 +25,15 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Fast tests compile much and compute little, so LLVM's optimisations cost more than they save.
+    """Fast tests compile much and compute little, so the compiler's work costs more than it saves.
 
-    JAX reads the flag when it first computes; so do the processes that tests start.
+    JAX reads the flags when it first computes; so do the processes that tests start.
     """
     if config.option.markexpr == "not slow":
-        flags = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=0 {flags}"
+        flags = ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
+        if jax.__version_info__ < (0, 11):  # later ones end the program at an unknown flag
+            flags.append("--xla_cpu_use_fusion_emitters=false")
+        os.environ["XLA_FLAGS"] = " ".join([*flags, os.environ.get("XLA_FLAGS", "")])
 
 
 @pytest.fixture(scope="session")

@@ -54,6 +54,21 @@ def choose_simulator(env: Env, batch_size: int | None = None) -> Simulator:
     return Simulator(env, mesh, batch_size)
 
 
+def compiler_options(env: Env) -> dict[str, str | bool]:
+    """Return the options with which XLA compiles the iterations of a trainer in ``env``.
+
+    Where XLA does not simulate, its part of the work is small. Compiling fast then saves more than
+    the fastest program would: on Hopper, about half of the time until the first iteration. An
+    optimisation level that the user has chosen stays.
+    """
+    level, chosen = "xla_backend_optimization_level", os.environ.get("XLA_FLAGS", "")
+    if not _uses_all_cores(env) or jax.default_backend() != "cpu" or level in chosen:
+        return {}
+    # XLA refuses options that it does not know.
+    emitters = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+    return {level: "1", **emitters}
+
+
 def _uses_all_cores(env: Env) -> bool:
     """Tell whether MuJoCo's C engine or workers simulate ``env``, which may be wrapped."""
     inner = getattr(env, "unwrapped", env)

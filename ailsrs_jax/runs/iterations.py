@@ -19,6 +19,7 @@ def iterate(
     num_iterations: int,
     *arguments: Any,
     place: jax.sharding.Sharding | None = None,
+    compiler_options: dict[str, str | bool] | None = None,
 ) -> Iterator[tuple[Any, IterationReport]]:
     """Apply ``update`` until ``num_iterations`` are done, and yield state and report after each.
 
@@ -32,6 +33,7 @@ def iterate(
         num_iterations: iterations in all.
         arguments: further arguments of ``update``, for all lanes.
         place: where results lie on the devices, so that ``update`` can take them again.
+        compiler_options: of XLA.
 
     Raises:
         Interrupted: an iteration has ended early, because somebody asked for a stop.
@@ -42,7 +44,7 @@ def iterate(
     started = time.perf_counter()
     # Compiled ahead of time, which times it separately and rules out compiling again later.
     jitted = jax.jit(jax.vmap(update), out_shardings=place)
-    compiled = jitted.lower(state, *arguments).compile()
+    compiled = jitted.lower(state, *arguments).compile(compiler_options=compiler_options)
     compile_seconds = time.perf_counter() - started
     for iteration in range(start, num_iterations):
         started = time.perf_counter()

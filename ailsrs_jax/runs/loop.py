@@ -18,6 +18,7 @@ import numpy as np
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import Interrupted, interruptible
+from ailsrs_jax.runs.devices import compiler_options
 from ailsrs_jax.runs.iterations import finished, iterate
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.stacking import stack_trainers
@@ -248,6 +249,7 @@ def execute(
                 plans[0].config.settings.num_iterations,
                 arguments,
                 place=place,
+                compiler_options=compiler_options(plans[0].simulator.env),
             ):
                 stopping = anywhere(stop()) and not report.is_last
                 going = [run for run in runs if not run.is_finished(progress)]

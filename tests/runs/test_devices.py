@@ -3,11 +3,12 @@ import subprocess
 import sys
 
 import jax
+import pytest
 from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import make_env
-from ailsrs_jax.runs.devices import CPU_BATCH_SIZE, choose_simulator
+from ailsrs_jax.runs.devices import CPU_BATCH_SIZE, choose_simulator, compiler_options
 from tests.point_mass import PointMass
 
 REPORT = """
@@ -53,6 +54,18 @@ def test_the_c_engine_has_all_cores_on_one_device() -> None:
     for env in (make_env("hopper", "mujoco"), EpisodeWrapper(make_env("hopper", "mujoco"), 5, 1)):
         simulator = choose_simulator(env)
         assert (simulator.num_devices, simulator.batch_size) == (1, None)
+
+
+def test_what_xla_does_not_simulate_is_compiled_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    hopper = make_env("hopper", "mujoco")
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    assert compiler_options(hopper) == {}
+    monkeypatch.setenv("XLA_FLAGS", "")
+    options = compiler_options(hopper)
+    assert options["xla_backend_optimization_level"] == "1"
+    double = jax.jit(lambda x: 2 * x).lower(1.0).compile(compiler_options=options)
+    assert double(3.0) == 6.0
+    assert compiler_options(make_env("hopper", "mjx")) == compiler_options(PointMass()) == {}
 
 
 def test_slots_are_refilled_where_that_saves_something() -> None:

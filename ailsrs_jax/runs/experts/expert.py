@@ -14,7 +14,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.registry import open_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable
-from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
+from ailsrs_jax.runs.devices import choose_simulator, compiler_options, set_up_jax
 from ailsrs_jax.runs.experts.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.experts.ppo import PPO_PRESETS, PpoSettings, train_ppo
 from ailsrs_jax.runs.iterations import iterate
@@ -130,6 +130,14 @@ def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., 
     init = jax.vmap(lambda seed: trainer.init(jax.random.key(seed)))
     start = jax.jit(init, out_shardings=place)(seeds)
     num_iterations = settings.num_iterations
-    for state, report in iterate(trainer.update, start, env_steps, 0, num_iterations, place=place):
+    for state, report in iterate(
+        trainer.update,
+        start,
+        env_steps,
+        0,
+        num_iterations,
+        place=place,
+        compiler_options=compiler_options(env),
+    ):
         kept = jax.tree.map(lambda x: x[0], state.kept)
         consider(report, kept.policy, float(kept.score))

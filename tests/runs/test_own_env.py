@@ -118,7 +118,7 @@ def test_mistakes_are_one_line(point_mass_expert: ail.Demonstrations) -> None:
 
 def test_settings_of_a_task_without_a_preset() -> None:
     tuned, paper = (preset_settings("PointMass", preset) for preset in ("tuned", "paper"))
-    assert tuned.num_iterations == 28
+    assert tuned.num_iterations == 84
     assert tuned.gradient_penalty == preset_settings("Hopper-v5", "tuned").gradient_penalty
     assert paper == ail.AilsrsSettings()
     assert preset_settings("PointMass", "tuned", "ars") == ail.ArsSettings()

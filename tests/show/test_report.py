@@ -121,7 +121,7 @@ def test_a_run(tmp_path: Path) -> None:
         f"return {evaluation.mean:.0f} of one seed",
         "expert -20 return of the demonstrations",
         "environment steps 3.00 M",
-        "iterations 3 of 28",
+        "iterations 3 of 84",
         # The smallest distance; of seed 3 the second is NaN, so it is the third.
         f"0 {evaluation} 1000 1 0.250 0.400 0.600 -12",
         "3 – – 2 0.700 0.500 0.500 -15",

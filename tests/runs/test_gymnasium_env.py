@@ -28,6 +28,13 @@ SMALL = {
     "num_distance_samples": 50,
     "episode_length": 30,
 }
+ARS = {
+    "algorithm": "ars",
+    "num_iterations": 2,
+    "num_directions": 4,
+    "num_top_directions": 2,
+    "episode_length": 30,
+}
 SETTINGS = ["--set", *(f"{name}={value}" for name, value in SMALL.items())]
 PENDULUM = "gymnasium:Pendulum-v1"
 CONTROLLER = """
@@ -91,8 +98,7 @@ def test_a_function_that_makes_the_environment() -> None:
     for algorithm, settings in (("bc", {"episode_length": 30}), ("ailsrs", SMALL)):
         run = ail.train(make("Mass"), demonstrations, algorithm=algorithm, **settings)
         assert ail.evaluate(run.policies[0], 3, env=make("Mass"), episode_length=30).mean > 5
-    search = {"num_iterations": 2, "num_directions": 4, "num_top_directions": 2}
-    run = ail.train(make("Mass"), algorithm="ars", episode_length=30, **search)
+    run = ail.train(make("Mass"), **ARS)
     assert run.policies[0].weights.shape == (1, 2)
 
 
@@ -139,25 +145,13 @@ def test_an_exception_leaves_a_run_that_goes_on(
     def fragile() -> Fragile:
         return Fragile()
 
-    demonstrations = mass_demonstrations()
-    options = {"seeds": [3], **SMALL, "num_iterations": 12, "checkpoint_every": 1}
+    options = ARS | {"seeds": [3], "num_iterations": 12, "checkpoint_every": 1}
     with pytest.raises(UserError, match="OSError: the simulator has lost its licence; the tra"):
-        ail.train(
-            fragile, demonstrations_of("fragile", demonstrations), output=tmp_path / "a", **options
-        )
-    run = ail.train(
-        fragile,
-        demonstrations_of("fragile", demonstrations),
-        output=tmp_path / "a",
-        resume=(tmp_path / "a" / "config.json").exists(),
-        **options,
-    )
-    again = ail.train(fragile, demonstrations_of("fragile", demonstrations), **options)
+        ail.train(fragile, output=tmp_path / "a", **options)
+    resume = (tmp_path / "a" / "config.json").exists()
+    run = ail.train(fragile, output=tmp_path / "a", resume=resume, **options)
+    again = ail.train(fragile, **options)
     np.testing.assert_array_equal(run.policies[3].weights, again.policies[3].weights)
-
-
-def demonstrations_of(name: str, demonstrations: ail.Demonstrations) -> ail.Demonstrations:
-    return demonstrations.replace(env_id=f"gymnasium:{name}")
 
 
 @pytest.mark.slow

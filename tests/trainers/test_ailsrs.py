@@ -269,7 +269,7 @@ def test_a_step_on_mjx_is_the_step_on_the_c_engine() -> None:
     states = []
     for physics in ("mjx", "mujoco"):
         trainer = swimmer_trainer(physics, settings)
-        state, metrics = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+        state, metrics = jax.jit(trainer.search)(trainer.init(jax.random.key(0)), jax.random.key(1))
         assert all(bool(jnp.isfinite(value)) for value in metrics.values())
         states.append(state)
     ours, reference = states

@@ -1,19 +1,24 @@
-"""The command ``ailsrs inspect``."""
+"""The commands ``ailsrs inspect`` and ``ailsrs compare``."""
 
 import dataclasses
+import math
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
+from ailsrs_jax.cli.progress import sparkline
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, percentage
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
+    from ailsrs_jax.runs.inspection.comparison import RunSummary
     from ailsrs_jax.runs.inspection.demonstrations import Inspection
 
 
@@ -77,6 +82,56 @@ def inspect(
         for problem in found.problems or ["no problem found"]:
             terminal.line(f"· {problem}")
         terminal.line(f"try: {command}")
+
+
+def compare(
+    directories: Positional[Annotated[tuple[Path, ...], arg(metavar="DIR [DIR ...]")]],
+    terminal: TerminalOptions = TERMINAL,
+) -> None:
+    """Show runs of one task side by side: returns, distances, and what they cost.
+
+    Returns are those that the policies were kept by. The time until 0.9 of the expert includes
+    compilation. It is shared by the seeds of a run, and depends on what else the machine did.
+
+    Example: ailsrs compare runs/hopper runs/gail
+
+    Args:
+        directories: The directories of runs, finished or not.
+    """
+    from ailsrs_jax.runs.inspection.comparison import compare_runs
+
+    found = compare_runs(directories)
+    terminal.json(dataclasses.asdict(found))
+    if terminal.as_json:
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("run", "algorithm"):
+        table.add_column(name, overflow="fold")
+    for name in ("kept", "distance", "0.9 after"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column(f"to {found.max_steps / 1e6:.2f} M steps", no_wrap=True)
+    courses = [value for run in found.runs for value in run.course]
+    highest = max(courses + [run.expert_return or 0.0 for run in found.runs])
+    shared = os.path.commonpath([Path(run.directory).parent for run in found.runs])
+    for run in found.runs:
+        table.add_row(
+            escape(os.path.relpath(run.directory, shared)),
+            run.algorithm + (f", {run.num_seeds} seeds" if run.num_seeds > 1 else ""),
+            percentage(run.return_mean, run.expert_return) or f"{run.return_mean:.0f}",
+            "" if run.distance is None else f"{run.distance:.2f}",
+            _cost(run),
+            sparkline(np.array(run.course), min(*courses, 0.0), highest),
+        )
+    terminal.line(f"{found.env_id} · kept: the return of the kept policies, in % of the expert's")
+    terminal.console.print(table)
+
+
+def _cost(run: "RunSummary") -> str:
+    if run.steps_to_90 is None or run.seconds_to_90 is None:
+        return ""
+    if math.isinf(run.steps_to_90):
+        return "never"
+    return f"{run.steps_to_90 / 1e6:.2f} M, {run.seconds_to_90:.0f} s"
 
 
 def _print_run(directory: Path, terminal: Terminal) -> None:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import tyro
 
 from ailsrs_jax.cli.experts import demonstrate, expert
+from ailsrs_jax.cli.inspect import compare
 from ailsrs_jax.cli.inspect import inspect as inspect_demonstrations
 from ailsrs_jax.cli.measure import benchmark, evaluate
 from ailsrs_jax.cli.show import export, render, report
@@ -26,6 +27,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "demonstrate": demonstrate,
     "inspect": inspect_demonstrations,
+    "compare": compare,
     "expert": expert,
     "evaluate": evaluate,
     "export": export,

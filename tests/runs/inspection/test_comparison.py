@@ -1,0 +1,76 @@
+"""``ailsrs compare``, against numbers worked out by hand."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ailsrs_jax.cli.main import main
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.inspection.comparison import POINTS, compare_runs
+from tests.runs.toy_run import SEEDS, plan, run
+
+METRICS = """iteration,seed,env_steps,evaluation_return,expert_distance
+0,{0},100,2,3
+0,{1},100,4,3
+1,{0},300,9,1
+1,{1},400,8,2
+2,{0},900,10,0.5
+2,{1},1000,6,2.5
+"""
+SECONDS = "iteration,seconds,compile_seconds\n0,1,5\n1,2,0\n2,4,0\n"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two seeds whose records are made up; the expert's return is 10."""
+    path = tmp_path_factory.mktemp("runs") / "made_up"
+    run(plan(3, "ailsrs"), path)
+    (path / "metrics.csv").write_text(METRICS.format(*SEEDS))
+    (path / "seconds.csv").write_text(SECONDS)
+    result = json.loads((path / "result.json").read_text())
+    result["expert_return"]["mean"] = 10.0
+    for seed, kept in zip(SEEDS, (2, 1), strict=True):
+        result["seeds"][str(seed)]["kept_iteration"] = kept
+    (path / "result.json").write_text(json.dumps(result))
+    return path
+
+
+def test_the_records_are_summarised(recorded: Path) -> None:
+    found = compare_runs([recorded])
+    (summary,) = found.runs
+    assert found.max_steps == 1000
+    assert (summary.algorithm, summary.num_seeds) == ("AILSRS", 2)
+    assert (summary.return_mean, summary.distance) == (9.0, 1.25)  # means of 10, 8 and 0.5, 2
+    assert summary.steps_to_90 == summary.seconds_to_90 == math.inf  # the second never gets there
+    assert len(summary.course) == POINTS
+    assert summary.course[0] == 3.0
+    assert summary.course[-1] == 8.0
+
+
+def test_the_cost_is_the_median_over_seeds(recorded: Path, tmp_path: Path) -> None:
+    rows = METRICS.replace("400,8,2", "400,9,2").format(*SEEDS)
+    for path in recorded.glob("*.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "metrics.csv").write_text(rows)
+    (summary,) = compare_runs([tmp_path]).runs
+    assert (summary.steps_to_90, summary.seconds_to_90) == (350.0, 8.0)
+    (tmp_path / "metrics.csv").write_text("".join(rows.splitlines(keepends=True)[:5]))
+    with pytest.raises(UserError, match=r"metrics.csv has no iteration \d of seed \d"):
+        compare_runs([tmp_path])
+
+
+def test_the_command(recorded: Path, monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("sys.argv", ["ailsrs", "compare", str(recorded), str(recorded)])
+    main()
+    printed = capsys.readouterr().out
+    assert printed.count("AILSRS, 2 seeds") == 2
+    assert printed.count("90 %") == printed.count("never") == 2
+    assert max(map(len, printed.splitlines())) <= 80
+    monkeypatch.setattr("sys.argv", ["ailsrs", "compare", str(recorded), "--json"])
+    main()
+    (entry,) = json.loads(capsys.readouterr().out)["runs"]
+    assert (entry["return_mean"], entry["steps_to_90"]) == (9.0, None)

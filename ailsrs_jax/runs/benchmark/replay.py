@@ -86,8 +86,10 @@ def _controls(env: MujocoTask, actions: np.ndarray) -> np.ndarray:
     return np.repeat(actions, env.physics.frame_skip, axis=1).astype(float)
 
 
-def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..., Any], float]:
+def compiled(
+    function: Callable[..., Any], *arguments: Any, options: dict[str, str | bool] | None = None
+) -> tuple[Callable[..., Any], float]:
     """Compile ``function`` for ``arguments``; return the program and the seconds it took."""
     started = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
+    program = jax.jit(function).lower(*arguments).compile(compiler_options=options)
     return program, time.perf_counter() - started

@@ -24,7 +24,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.benchmark import peers
 from ailsrs_jax.runs.benchmark.replay import bare, compiled, limit
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
-from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
+from ailsrs_jax.runs.devices import choose_simulator, compiler_options, set_up_jax
 from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.episodes import Episodes
@@ -121,13 +121,14 @@ def measure(
     simulator = _shared_evenly(choose_simulator(env), settings.num_perturbed)
     trainer = make_ailsrs(simulator, _demonstrations(env, env_id, engine), settings)
     state = jax.jit(trainer.init)(jax.random.key(0))
-    update, update_compile_s = compiled(trainer.update, state)
+    options = compiler_options(env)  # as in training
+    update, update_compile_s = compiled(trainer.update, state, options=options)
     state, _ = update(state)
     key = jax.random.key(1)
     starts = trainer.starts(key)
     if not isinstance(starts, InitialState):
         starts = jax.jit(jax.vmap(env.draw_start))(starts)
-    simulate, simulate_compile_s = compiled(_episodes(trainer, state, key))
+    simulate, simulate_compile_s = compiled(_episodes(trainer, state, key), options=options)
     episodes = simulate()
     actions, lengths = np.asarray(episodes.actions), np.asarray(episodes.lengths)
     replay, bare_compile_s = bare(simulator, starts, actions)

@@ -60,6 +60,7 @@ def render(
         allow_env(env)
         options: dict[str, Any] = {"physics": physics, "seed": seed, "seconds": seconds}
         options |= {"watch": watch} if size is None else {"watch": watch, "size": size}
+        animation: video.Animation
         if learning:
             animation = film.film_learning(policy, output, **options)
         else:

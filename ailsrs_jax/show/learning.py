@@ -5,7 +5,7 @@ import functools
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -29,7 +29,8 @@ PICTURE_SIZE = 240
 CURVE_HEIGHT = 0.7  # of a picture's
 DRAWN_AFTER = 0.75  # of the film; the rest of it shows the whole curve
 INCHES = 2.4  # of a picture
-PALE_AXES = dict.fromkeys(("axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), PALE)
+PARTS = ("axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
+PALE_AXES: Any = dict.fromkeys(PARTS, PALE)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

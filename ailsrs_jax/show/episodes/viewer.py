@@ -37,7 +37,7 @@ def viewer_html(replays: Sequence[Replay], labels: Sequence[str]) -> str:
     from brax.io.html import render_from_json
 
     scene = json.dumps(viewer_scene(replays, labels))
-    added = (resources.files(__package__) / "viewer.html").read_text()
+    added = resources.files("ailsrs_jax.show.episodes").joinpath("viewer.html").read_text()
     return render_from_json(scene, "100vh", False, None).replace("<body>", f"<body>\n{added}")
 
 

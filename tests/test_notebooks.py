@@ -8,7 +8,7 @@ import pytest
 from nbclient import NotebookClient
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.renderer import require_renderer
+from ailsrs_jax.show.episodes.renderer import require_renderer
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

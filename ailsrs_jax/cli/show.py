@@ -17,17 +17,19 @@ from ailsrs_jax.cli.arguments import (
     allow_env,
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
+from ailsrs_jax.errors import UserError
 
 
 def render(
     policy: PolicyPath,
-    output: Annotated[Path, arg(metavar="FILE.mp4|FILE.html")],
+    output: Annotated[Path, arg(metavar="FILE.mp4|.webp|.html")],
+    learning: Flag = False,
     expert: OptionalPath = None,
     alone: Flag = False,
     physics: PhysicsName = "auto",
     seed: Seed = 0,
     seconds: float = 10.0,
-    size: int = 480,
+    size: Count = None,
     env: OwnEnv = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
@@ -35,28 +37,34 @@ def render(
 
     Example: ailsrs render runs/hopper --output hopper.mp4
 
+    Example: ailsrs render runs/hopper --learning --output learning.mp4
+
     Args:
         policy: A policy.npz, or a run directory, whose first seed is shown.
-        output: A video, or a page with Brax's interactive viewer, which needs no renderer.
+        output: A video, an animated picture, or a page with Brax's interactive viewer, which needs
+            no renderer.
+        learning: Show policies of several iterations of a run instead, from the first to the kept
+            one, above the learning curve. A video or an animated picture.
         expert: The expert's policy.npz; by default the shipped expert of the task, if any.
         alone: Do not show an expert.
         seconds: Show at most this much of the episode, in real time.
-        size: Height and width of each picture in pixels, an even number.
+        size: Height and width of each picture in pixels, an even number; by default 480, with
+            --learning 240.
     """
-    from ailsrs_jax.show import video
+    if learning and (alone or expert is not None):
+        raise UserError("--learning shows no expert: leave out --expert and --alone")
+    with terminal.stage("rendering") as watch:
+        from ailsrs_jax.show import learning as film
+        from ailsrs_jax.show import video
 
-    allow_env(env)
-    with terminal.console.status("rendering"):
-        animation = video.render(
-            policy,
-            output,
-            expert=expert,
-            alone=alone,
-            physics=physics,
-            seed=seed,
-            seconds=seconds,
-            size=size,
-        )
+        allow_env(env)
+        options: dict[str, Any] = {"physics": physics, "seed": seed, "seconds": seconds}
+        options |= {"watch": watch} if size is None else {"watch": watch, "size": size}
+        animation: video.Animation
+        if learning:
+            animation = film.film_learning(policy, output, **options)
+        else:
+            animation = video.render(policy, output, expert=expert, alone=alone, **options)
     episodes: list[dict[str, Any]] = [
         {"label": label, "length": replay.num_steps, "return": float(replay.env_rewards.sum())}
         for label, replay in zip(animation.labels, animation.replays, strict=True)

@@ -8,14 +8,17 @@ import math
 import shlex
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from tyro.conf import arg
+
+SECONDS_IN_A_LOG = 10.0  # between two lines of a stage where there is no terminal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +47,12 @@ class Terminal:
         self.console.print(text, soft_wrap=True, markup=False)
 
     @contextlib.contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Show what goes on inside a ``with`` statement, and how long it has taken."""
+    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
+        """Show what goes on inside a ``with`` statement, and how long it has taken.
+
+        The value is a function that can be told how many pictures are done, of how many. Where
+        there is no terminal, a line shows it every ten seconds.
+        """
         started = time.perf_counter()
         if not self.console.is_terminal:
             self.line(name)
@@ -56,9 +63,31 @@ class Terminal:
             transient=True,
             disable=not self.console.is_terminal,
         ) as progress:
-            progress.add_task(name, total=None)
-            yield
+            task = progress.add_task(name, total=None)
+
+            def show(done: int, total: int) -> None:
+                text = f"{name}: {done} of {total} pictures"
+                progress.update(task, description=text)
+
+            with self._repeated(lambda: progress.tasks[0].description):
+                yield show
         self.line(f"{name} took {time.perf_counter() - started:.1f} s")
+
+    @contextlib.contextmanager
+    def _repeated(self, text: Callable[[], str]) -> Iterator[None]:
+        """Print the present ``text`` every few seconds where there is no terminal."""
+        over = threading.Event()
+
+        def repeat() -> None:
+            while not over.wait(SECONDS_IN_A_LOG):
+                self.line(text())
+
+        if not self.console.is_terminal:
+            threading.Thread(target=repeat, name="progress", daemon=True).start()
+        try:
+            yield
+        finally:
+            over.set()
 
     def json(self, fields: Mapping[str, Any]) -> None:
         """Print the object for programs if it was asked for; NaN and infinity become null."""

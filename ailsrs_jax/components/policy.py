@@ -96,21 +96,27 @@ def repeated(policy: Any, num_policies: int) -> Any:
 
 
 class KeptPolicy(struct.PyTreeNode):
-    """The best policy so far, by a score."""
+    """The best policy so far, by a score; and the last one that was a candidate."""
 
     policy: Policy
     score: jax.Array  # () higher is better; −∞ before the first candidate
     iteration: jax.Array  # () int32, in which it was found
+    offered: Policy  # the last candidate
 
     def offer(self, policy: Policy, score: jax.Array, iteration: jax.Array) -> "KeptPolicy":
         """Keep ``policy`` instead if its score is higher; NaN is never higher."""
-        candidate = KeptPolicy(policy, score, iteration)
+        candidate = KeptPolicy(policy, score, iteration, policy)
         better = score > self.score
-        return jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
+        kept: KeptPolicy
+        kept = jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
+        return kept.replace(offered=policy)
 
 
 def keep(policy: Policy) -> KeptPolicy:
     """Start with ``policy``; the first candidate with a score replaces it."""
     return KeptPolicy(
-        policy, score=jnp.full((), -jnp.inf, jnp.float32), iteration=jnp.zeros((), jnp.int32)
+        policy,
+        score=jnp.full((), -jnp.inf, jnp.float32),
+        iteration=jnp.zeros((), jnp.int32),
+        offered=policy,
     )

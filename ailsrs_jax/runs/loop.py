@@ -27,7 +27,7 @@ from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
-from ailsrs_jax.runs.storage.policies import kept_policies
+from ailsrs_jax.runs.storage.policies import MILESTONES, kept_policies
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
 from ailsrs_jax.runs.storage.trackers import require_tracker
 
@@ -93,10 +93,12 @@ class _Run:
         except UserError as error:
             self.problem = self.problem or error
 
-    def append(self, report: IterationReport, *, to_disk: bool) -> None:
-        """Append an iteration to the journal."""
+    def append(self, report: IterationReport, progress: Progress, *, to_disk: bool) -> None:
+        """Append an iteration to the journal, which led to ``progress``."""
         if self._journal is not None:
             self._journal.append(self._part_of(report), to_disk=to_disk)
+            if self._num_done(progress) - 1 in MILESTONES:
+                self._journal.save_evaluated(self._part(progress)["state"])
 
     def save(self, progress: Progress) -> None:
         """Write policies and ``result.json``."""
@@ -264,7 +266,7 @@ def execute(
                     save = failed or stopping or report.is_last or saver.is_due(num_done)
                     with together():
                         for run in going:
-                            run.append(report, to_disk=save)
+                            run.append(report, progress, to_disk=save)
                         if save:
                             save_all()
                 if failed:

@@ -10,8 +10,8 @@ from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun
-from ailsrs_jax.show.renderer import require_renderer
-from ailsrs_jax.show.replay import replay
+from ailsrs_jax.show.episodes.renderer import require_renderer
+from ailsrs_jax.show.episodes.replay import replay
 from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import Animation, data_uri

@@ -4,13 +4,14 @@ import base64
 import dataclasses
 import functools
 import io
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy, policy_files
 from ailsrs_jax.data.sources import Source, parse_source
@@ -19,16 +20,16 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.horizon import policy_horizon
 from ailsrs_jax.runs.storage.config import read_config
-from ailsrs_jax.show.renderer import pictures, require_renderer
-from ailsrs_jax.show.replay import Film, Replay, replay
-from ailsrs_jax.show.viewer import viewer_html
+from ailsrs_jax.show.episodes.frames import Watch, frames_of, unwatched
+from ailsrs_jax.show.episodes.renderer import require_renderer
+from ailsrs_jax.show.episodes.replay import Film, Replay, replay
+from ailsrs_jax.show.episodes.viewer import viewer_html
 
-SUFFIXES = (".mp4", ".html")
+SUFFIXES = (".mp4", ".webp", ".html")
 MOST_FPS = 60  # above this only every k-th step is drawn
 SECONDS, SIZE = 10.0, 480
-COLUMNS = 4  # of pictures
-GAP = 4  # pixels between them
-INK, PALE, DARK, WARM = (248, 250, 252), (148, 163, 184), (15, 23, 42), (251, 191, 36)
+WEBP_FPS = 25  # at most; only every k-th frame is written
+WEBP_QUALITY = 25  # at most 100; with 50 a file is twice as large
 
 PolicyOrPath = SavedPolicy | str | Path
 
@@ -41,11 +42,13 @@ class Animation:
         replays: the episodes, all of one task.
         labels: a label for each episode.
         size: height and width of each picture in pixels.
+        watch: called with the number of pictures that are drawn, and that of all.
     """
 
     replays: Sequence[Replay | Film]
     labels: Sequence[str]
     size: int = SIZE
+    watch: Watch = unwatched
 
     @property
     def stride(self) -> int:
@@ -57,6 +60,12 @@ class Animation:
         """Frames per second, so that simulated time passes in real time."""
         return 1 / (Fraction(self.replays[0].dt * self.stride).limit_denominator(10_000))
 
+    @property
+    def steps(self) -> Sequence[int]:
+        """The environment step of each frame."""
+        last = max(replay.num_steps for replay in self.replays)
+        return range(0, last + 1, self.stride)
+
     @functools.cached_property
     def frames(self) -> np.ndarray:
         """``(T, H, W, 3)`` uint8.
@@ -64,14 +73,7 @@ class Animation:
         Raises:
             UserError: there is no renderer.
         """
-        last = max(replay.num_steps for replay in self.replays)
-        steps = range(0, last + 1, self.stride)
-        # One video at a time: two open renderers would switch their OpenGL context every frame.
-        videos = [
-            np.stack(list(_captioned_pictures(replay, label, steps, self.size)))
-            for replay, label in zip(self.replays, self.labels, strict=True)
-        ]
-        return side_by_side(videos)
+        return frames_of(self.replays, self.labels, self.steps, self.size, self.watch)
 
     @functools.cached_property
     def mp4(self) -> bytes:
@@ -99,14 +101,17 @@ class Animation:
         return viewer_html(replays, self.labels)
 
     def save(self, path: str | Path) -> None:
-        """Write ``.mp4``, or ``.html`` with Brax's viewer, which needs no renderer.
+        """Write ``.mp4``, ``.webp``, or ``.html`` with Brax's viewer, which needs no renderer.
 
         Raises:
             UserError: another suffix, no renderer, or the file cannot be written.
         """
         path = Path(path)
         require_suffix(path)
-        content = self.mp4 if path.suffix == ".mp4" else self.viewer().encode()
+        if path.suffix == ".html":
+            content = self.viewer().encode()
+        else:
+            content = self.mp4 if path.suffix == ".mp4" else encode_webp(self.frames, self.fps)
         write_atomically(path, content)
 
     def _repr_html_(self) -> str:
@@ -129,13 +134,14 @@ def render(
     seed: int = 0,
     seconds: float = SECONDS,
     size: int = SIZE,
+    watch: Watch = unwatched,
 ) -> Animation:
     """Show one episode of ``policy`` beside the expert's from the same initial state.
 
     Args:
         policy: the policy, its file, or a run directory, whose first seed is shown.
-        output: an ``.mp4`` file, or an ``.html`` file with Brax's interactive viewer. Without it
-            nothing is written; a notebook plays the returned value.
+        output: an ``.mp4`` or ``.webp`` file, or an ``.html`` file with Brax's interactive viewer.
+            Without it nothing is written; a notebook plays the returned value.
         expert: the expert or its file; by default the shipped expert of the task, if there is one.
         alone: do not show an expert.
         env: an environment that MuJoCo simulates; by default the task that the policy names.
@@ -143,6 +149,7 @@ def render(
         seed: seed of the initial state.
         seconds: longest part of the episode to show.
         size: height and width of each picture in pixels.
+        watch: called with the number of pictures that are drawn, and that of all.
 
     Returns:
         The animation. Its ``frames`` are an array; ``save`` writes it to another file.
@@ -151,12 +158,8 @@ def render(
         UserError: an argument is wrong, MuJoCo does not simulate the task, or there is no
             renderer.
     """
-    if not 16 <= size <= 4096 or size % 2:
-        raise UserError(f"size is {size}: it must be an even number from 16 to 4096")
-    if output is not None:
-        output = Path(output)
-        require_suffix(output)
-        require_writable(output)
+    output = None if output is None else Path(output)
+    require_output(output, size)
     shown = {"policy": _load(policy)}
     if not alone and (beside := _find_expert(policy, shown["policy"], expert)) is not None:
         shown = {"expert": beside} | shown
@@ -165,14 +168,14 @@ def render(
                 f"the expert is of {beside.env_id}, the policy of {shown['policy'].env_id}: give "
                 "an expert of the same task, or show the policy alone"
             )
-    if output is None or output.suffix == ".mp4":
+    if output is None or output.suffix != ".html":
         require_renderer()
     length = None if isinstance(policy, SavedPolicy) else policy_horizon(_file(policy))
     replays = [
         replay(each, env=env, physics=physics, seed=seed, seconds=seconds, episode_length=length)
         for each in shown.values()
     ]
-    animation = Animation(replays, list(shown), size)
+    animation = Animation(replays, list(shown), size, watch)
     if output is not None:
         animation.save(output)
     return animation
@@ -208,10 +211,19 @@ def _file(policy: str | Path) -> Path:
     return policy_files(Path(policy))[0]
 
 
+def require_output(output: Path | None, size: int) -> None:
+    """Raise UserError unless pictures can have this ``size``, and the file can be written."""
+    if not 16 <= size <= 4096 or size % 2:
+        raise UserError(f"size is {size}: it must be an even number from 16 to 4096")
+    if output is not None:
+        require_suffix(output)
+        require_writable(output)
+
+
 def require_suffix(path: Path) -> None:
     """Raise UserError unless the file name ends in a suffix that can be written."""
     if path.suffix not in SUFFIXES:
-        raise UserError(f"{path}: the name must end in {' or '.join(SUFFIXES)}")
+        raise UserError(f"{path}: the name must end in {', '.join(SUFFIXES[:-1])} or .html")
 
 
 def encode(frames: np.ndarray, fps: Fraction) -> bytes:
@@ -228,57 +240,24 @@ def encode(frames: np.ndarray, fps: Fraction) -> bytes:
     return file.getvalue()
 
 
+def encode_webp(frames: np.ndarray, fps: Fraction) -> bytes:
+    """Encode ``frames (T, H, W, 3)`` uint8 as an animated picture, which a README shows."""
+    every = math.ceil(fps / WEBP_FPS)
+    first, *others = map(Image.fromarray, frames[::every])
+    file = io.BytesIO()
+    first.save(
+        file,
+        "WEBP",
+        save_all=True,
+        append_images=others,
+        duration=round(1000 * every / fps),  # milliseconds
+        loop=0,
+        quality=WEBP_QUALITY,
+        method=6,  # the slowest and smallest
+    )
+    return file.getvalue()
+
+
 def data_uri(kind: str, content: bytes) -> str:
     """Return a data address that holds a file of the MIME type ``kind``."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
-
-
-def side_by_side(videos: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrange videos ``(T, h, w, 3)`` of the same shape in rows of at most ``COLUMNS``."""
-    num_frames, height, width, _ = videos[0].shape
-    columns = min(len(videos), COLUMNS)
-    rows = -(-len(videos) // columns)
-    shape = (num_frames, rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3)
-    together = np.full(shape, DARK, np.uint8)
-    for index, video in enumerate(videos):
-        top, left = index // columns * (height + GAP), index % columns * (width + GAP)
-        together[:, top : top + height, left : left + width] = video
-    return together
-
-
-def _captioned_pictures(
-    replay: Replay | Film, label: str, steps: Sequence[int], size: int
-) -> Iterator[np.ndarray]:
-    """Yield the pictures at ``steps`` below a caption: label, return so far, time.
-
-    After the end of the episode the last picture stays, darker if the final state was terminal.
-    """
-    returns = np.concatenate([[0.0], np.cumsum(replay.env_rewards, dtype=np.float64)])
-    live = [step for step in steps if step <= replay.num_steps]
-    drawn = pictures(replay, [*live, replay.num_steps], size)
-
-    def facts(step: int) -> str:
-        return f"return {returns[step]:.0f}   {step * replay.dt:.1f} s"
-
-    for step in live:
-        yield _captioned(next(drawn), label, facts(step), PALE)
-    if rest := len(steps) - len(live):
-        last, text, color = next(drawn), facts(replay.num_steps), PALE
-        if replay.ended:
-            last, text, color = last // 2, f"ended: {text}", WARM
-        yield from [_captioned(last, label, text, color)] * rest
-
-
-def _captioned(
-    picture: np.ndarray, label: str, text: str, color: tuple[int, int, int]
-) -> np.ndarray:
-    """Add a line of text above, where a player's controls do not hide it; its height is even."""
-    height, width = picture.shape[:2]
-    bar = 2 * max(height // 22, 8)
-    image = Image.new("RGB", (width, height + bar), DARK)
-    image.paste(Image.fromarray(picture), (0, bar))
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=bar * 0.42)
-    middle, margin = bar / 2, bar * 0.4
-    draw.text((margin, middle), label, INK, font, anchor="lm")
-    draw.text((width - margin, middle), text, color, font, anchor="rm")
-    return np.asarray(image)

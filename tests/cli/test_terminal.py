@@ -1,6 +1,7 @@
 """What the command line says to people, to logs and to programs."""
 
 import inspect
+import io
 import os
 import pty
 import re
@@ -8,10 +9,12 @@ import select
 import shlex
 import subprocess
 import sys
+import time
 import typing
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from ailsrs_jax.cli import main as cli
 from ailsrs_jax.cli import terminal
@@ -147,3 +150,22 @@ def in_terminal(command: list[str], until: str, columns: int) -> tuple[int, str]
     code = process.wait(timeout=100)
     os.close(ours)
     return code, printed.decode()
+
+
+def test_a_long_stage_says_how_far_it_is(monkeypatch, capsys) -> None:
+    assert terminal.SECONDS_IN_A_LOG <= 15
+    monkeypatch.setattr(terminal, "SECONDS_IN_A_LOG", 0.01)
+    with terminal.Terminal().stage("rendering") as watch:
+        watch(3, 8)
+        time.sleep(0.3)
+    first, *between, last = capsys.readouterr().out.splitlines()
+    assert first == "rendering"
+    assert "rendering: 3 of 8 pictures" in between
+    assert re.fullmatch(r"rendering took \d+\.\d s", last)
+
+    screen = io.StringIO()
+    shown = terminal.Terminal()
+    vars(shown)["console"] = Console(file=screen, force_terminal=True, width=80)
+    with shown.stage("rendering") as watch:
+        watch(3, 8)
+    assert "rendering: 3 of 8 pictures" in screen.getvalue()

@@ -36,6 +36,7 @@ def test_the_better_policy_is_kept() -> None:
     assert int(kept.iteration) == 1
     assert float(kept.score) == -1.0
     np.testing.assert_array_equal(kept.policy.weights, jnp.ones((1, 2)))
+    np.testing.assert_array_equal(kept.offered.weights, 3.0 * jnp.ones((1, 2)))
 
 
 def test_ridge_regression_recovers_a_linear_map_and_ignores_the_masked() -> None:

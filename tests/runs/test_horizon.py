@@ -11,7 +11,7 @@ from ailsrs_jax.runs.horizon import LONGEST
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.show import report
-from ailsrs_jax.show.replay import replay
+from ailsrs_jax.show.episodes.replay import replay
 from tests.cli.test_cli import ailsrs, few_episodes  # noqa: F401
 from tests.point_mass import EPISODE_LENGTH, PointMass
 

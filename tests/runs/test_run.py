@@ -94,6 +94,14 @@ def test_directory_holds_what_is_promised(finished: tuple[Path, Result]) -> None
         np.testing.assert_array_equal(saved.weights, policy.weights)
         distances = [float(r["expert_distance"]) for r in rows if r["seed"] == str(seed)]
         assert result.kept_iterations[seed] == int(np.argmin(distances))
+        stored = {
+            int(path.stem): load_policy(path)
+            for path in (directory / f"seed_{seed}" / "iterations").iterdir()
+        }
+        assert sorted(stored) == [0, 1, 2, 3, 4, 6, 8]
+        if result.kept_iterations[seed] in stored:
+            same = stored[result.kept_iterations[seed]]
+            np.testing.assert_array_equal(same.weights, policy.weights)
     assert result.expert_returns is not None
     assert result.expert_returns.tolist() == [1.0, 1.0, 1.0]
 
@@ -123,6 +131,9 @@ def test_interrupted_and_resumed_is_bitwise_the_same(
         np.testing.assert_array_equal(resumed.policies[seed].weights, policy.weights)
         np.testing.assert_array_equal(resumed.policies[seed].mean, policy.mean)
     assert resumed.kept_iterations == result.kept_iterations
+    for path in directory.glob("seed_*/iterations/*"):
+        again = interrupted / path.relative_to(directory)
+        assert again.read_bytes() == path.read_bytes()
     before, after = (
         json.loads((run / "result.json").read_text()) for run in (directory, interrupted)
     )

@@ -17,7 +17,7 @@ import ailsrs_jax as ail
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.storage.config import RunConfig
-from ailsrs_jax.show import renderer as offscreen
+from ailsrs_jax.show.episodes import renderer as offscreen
 from ailsrs_jax.show.page import Media, Page, Tile
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import data_uri, encode

@@ -15,12 +15,14 @@ import mujoco
 import numpy as np
 import pytest
 from brax import envs
+from PIL import Image
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.policies import expert_path, load_policy
-from ailsrs_jax.show import renderer as offscreen
-from ailsrs_jax.show.replay import Replay, replay
-from ailsrs_jax.show.video import GAP, Animation, encode, side_by_side
+from ailsrs_jax.show.episodes import renderer as offscreen
+from ailsrs_jax.show.episodes.frames import GAP, side_by_side
+from ailsrs_jax.show.episodes.replay import Replay, replay
+from ailsrs_jax.show.video import Animation, encode
 from tests.point_mass import PointMass
 
 SLIDER = """
@@ -154,7 +156,9 @@ def test_without_a_renderer_one_line_says_what_to_install(
 def test_mistakes(slider: Slider, tmp_path: Path) -> None:
     swimmer, hopper = (load_policy(expert_path(name)) for name in ("Swimmer-v5", "Hopper-v5"))
     calls: dict[str, Callable[[], object]] = {
-        "the name must end in .mp4 or .html": lambda: ail.render(swimmer, tmp_path / "a.gif"),
+        "the name must end in .mp4, .webp or .html": lambda: ail.render(
+            swimmer, tmp_path / "a.gif"
+        ),
         "the expert is of Hopper-v5, the policy of Swimmer-v5": lambda: ail.render(
             swimmer, tmp_path / "a.html", expert=hopper
         ),
@@ -199,7 +203,12 @@ def test_brax_viewer_is_given_the_poses(slider: Slider, tmp_path: Path) -> None:
         stays = shown.positions[np.minimum(np.arange(len(states)), shown.num_steps), 0]
         np.testing.assert_allclose(along[:, 0], stays, atol=1e-5)
     links = [scene["geoms"][f"{label}_cart"][0]["link_idx"] for label in ("expert", "policy")]
-    assert abs(np.diff([states[0]["pos"][link][1] for link in links])) > 0.5
+    # The policy is nearer to the camera, which follows the first body.
+    beside, in_front = (states[0]["pos"][link][1] for link in links)
+    assert beside > in_front + 0.5
+    assert next(name for name in scene["geoms"] if name != "world") == "policy_cart"
+    assert scene["labels"] == {"policy": "policy_cart", "expert": "expert_cart"}
+    assert 1 < scene["size"] < 3
 
 
 @pytest.mark.filterwarnings("ignore")  # of OpenGL's bindings
@@ -210,9 +219,16 @@ def test_expert_and_policy_are_drawn(slider: Slider, tmp_path: Path) -> None:
         offscreen.require_renderer()
     except ail.UserError as error:
         pytest.skip(str(error))
-    animation = Animation([made_up(4), made_up(2, ended=True)], ["expert", "policy"], 64)
+    seen: list[tuple[int, int]] = []
+    animation = Animation(
+        [made_up(4), made_up(2, ended=True)],
+        ["expert", "policy"],
+        64,
+        watch=lambda done, total: seen.append((done, total)),
+    )
     frames = animation.frames
     assert frames.shape == (5, 64 + 16, 128 + GAP, 3)
+    assert seen == [(done, 10) for done in range(1, 11)]
     expert, policy = frames[:, 16:, :64], frames[:, 16:, 64 + GAP :]
     np.testing.assert_array_equal(expert[0], policy[0])  # the same pose
     assert (expert[1:] != expert[:-1]).any(axis=(1, 2, 3)).all()  # it moves
@@ -228,6 +244,10 @@ def test_expert_and_policy_are_drawn(slider: Slider, tmp_path: Path) -> None:
     assert base64.b64decode(source[1]) == (tmp_path / "slider.mp4").read_bytes()
     with av.open(tmp_path / "slider.mp4") as container:
         assert sum(1 for _ in container.decode(video=0)) == 5
+    animation.save(tmp_path / "slider.webp")
+    with Image.open(tmp_path / "slider.webp") as picture:
+        assert (picture.format, picture.size) == ("WEBP", (128 + GAP, 64 + 16))
+        assert picture.n_frames == 5
 
 
 @pytest.mark.slow

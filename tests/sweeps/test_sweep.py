@@ -83,6 +83,7 @@ def test_a_stack_is_not_split_before_it_is_finished(in_tmp_path: Path) -> None:
     cells = [path for path in Path("sweep/cells").iterdir() if path.is_dir()]
     for cell in cells:  # each is a run directory
         assert list(cell.glob("seed_*/policy.npz"))
+        assert list(cell.glob("seed_*/iterations/8.npz"))
     rows = [(cell / "metrics.csv").read_bytes() for cell in cells]
     with pytest.raises(ail.UserError, match="begun with another --max-parallel"):
         ail.sweep(spec, "sweep", max_parallel=1)

@@ -10,7 +10,7 @@ import numpy as np
 from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
-from ailsrs_jax.runs.storage.policies import kept_policies
+from ailsrs_jax.runs.storage.policies import EVALUATED, evaluated_policies, kept_policies
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
 from ailsrs_jax.runs.storage.trackers import Tracker
 from ailsrs_jax.trainers.algorithms import find_algorithm
@@ -73,6 +73,16 @@ class Journal:
         self._events.append(report, to_disk=to_disk)
         if self._tracker is not None:
             self._tracker.append(report)
+
+    def save_evaluated(self, state: Any) -> None:
+        """Write the policies of the last iteration that the training ``state`` has seen.
+
+        Raises:
+            UserError: they cannot be written.
+        """
+        name = f"{int(np.max(state.iteration)) - 1}.npz"
+        for seed, policy in evaluated_policies(state, self._config).items():
+            policy.save(self._directory / f"seed_{seed}" / EVALUATED / name)
 
     def save(
         self,

@@ -9,6 +9,11 @@ from ailsrs_jax.components.policy import LinearPolicy, Policy
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy, SavedPolicy
 from ailsrs_jax.runs.storage.config import RunConfig
 
+EVALUATED = "iterations"  # the folder, beside policy.npz, of policies of single iterations
+# The iterations whose policies are stored: 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, and so on. A run learns
+# most at its start, and these are few enough to store networks, too.
+MILESTONES = {0, 1} | {start << doubled for doubled in range(30) for start in (2, 3)}
+
 
 def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:
     """Return ``policy`` as NumPy arrays that can be saved.
@@ -33,7 +38,16 @@ def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:
 
 def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
     """Return the kept policy of each seed, from the training state of all seeds."""
-    policies = jax.tree.map(np.asarray, state.kept.policy)
+    return _by_seed(state.kept.policy, config)
+
+
+def evaluated_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
+    """Return the policy of each seed that the last iteration has evaluated."""
+    return _by_seed(state.kept.offered, config)
+
+
+def _by_seed(policies: Policy, config: RunConfig) -> dict[int, SavedPolicy]:
+    policies = jax.tree.map(np.asarray, policies)
     return {
         seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], policies), config.env_id)
         for index, seed in enumerate(config.seeds)

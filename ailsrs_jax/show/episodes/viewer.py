@@ -3,12 +3,13 @@
 import json
 import re
 from collections.abc import Sequence
+from importlib import resources
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from ailsrs_jax.show.replay import Replay
+from ailsrs_jax.show.episodes.replay import Replay
 
 # The viewer draws no height fields and no signed distances, and ellipsoids as spheres.
 SHAPES = {
@@ -29,38 +30,56 @@ PLAIN = [0.4, 0.33, 0.26]  # Brax's colour where the model gives none, or a text
 def viewer_html(replays: Sequence[Replay], labels: Sequence[str]) -> str:
     """Return a page that plays the episodes side by side; its scripts come from the internet.
 
+    To Brax's page, ``viewer.html`` adds the labels, the view, and what one reads without a network.
     ``brax.io.html.render`` would need a model of Brax's, which rejects some of MuJoCo's features
     that the viewer itself can draw.
     """
     from brax.io.html import render_from_json
 
-    return render_from_json(json.dumps(viewer_scene(replays, labels)), "100vh", False, None)
+    scene = json.dumps(viewer_scene(replays, labels))
+    added = resources.files("ailsrs_jax.show.episodes").joinpath("viewer.html").read_text()
+    return render_from_json(scene, "100vh", False, None).replace("<body>", f"<body>\n{added}")
 
 
 def viewer_scene(replays: Sequence[Replay], labels: Sequence[str]) -> dict[str, Any]:
-    """Return the viewer's input: shapes by link, and the pose of each link in each step."""
+    """Return the viewer's input: shapes by link, and the pose of each link in each step.
+
+    The last episode comes first: the viewer follows the first body. ``labels`` and ``size`` [m] are
+    for ``viewer.html``.
+    """
     geoms: dict[str, list[dict[str, Any]]] = {}
+    labelled: dict[str, str] = {}  # the name of the first body of each episode
     poses: list[tuple[np.ndarray, np.ndarray]] = []
     num_steps = max(replay.num_steps for replay in replays)
-    for number, (replay, label) in enumerate(zip(replays, labels, strict=True)):
+    size = _size(replays[-1].model)
+    for number, (replay, label) in enumerate(reversed([*zip(replays, labels, strict=True)])):
         model, first = replay.model, sum(positions.shape[1] for positions, _ in poses)
         positions, rotations = _body_poses(replay, num_steps)
-        # Apart along y: most tasks move along x.
-        positions[:, :, 1] += 1.2 * model.stat.extent * number
+        # Apart along y, away from the camera: most tasks move along x.
+        positions[:, :, 1] += 1.2 * size * number
         poses.append((positions, rotations))
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             shape = _shape(model, geom)
             if shape is None or (body == 0 and number > 0):  # one floor is enough
                 continue
-            if number < len(replays) - 1:
+            if number > 0:
                 shape["rgba"] = [*GREY, 1.0]
             name = "world" if body == 0 else f"{label} {model.body(body).name or body}"
+            name = re.sub(r"\W+", "_", name)
             shape["link_idx"] = -1 if body == 0 else first + body
-            geoms.setdefault(re.sub(r"\W+", "_", name), []).append(shape)
+            geoms.setdefault(name, []).append(shape)
+            if body > 0:
+                labelled.setdefault(label, name)
     together = (np.concatenate(arrays, axis=1).round(5).tolist() for arrays in zip(*poses))
     states = [{"pos": positions, "rot": rotations} for positions, rotations in zip(*together)]
-    return {"opt": {"timestep": replays[0].dt}, "geoms": geoms, "states": {"x": states}}
+    return {
+        "opt": {"timestep": replays[0].dt},
+        "geoms": geoms,
+        "states": {"x": states},
+        "labels": labelled,
+        "size": size,
+    }
 
 
 def _body_poses(replay: Replay, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -76,6 +95,17 @@ def _body_poses(replay: Replay, num_steps: int) -> tuple[np.ndarray, np.ndarray]
         positions.append(data.xpos.copy())
         rotations.append(data.xquat.copy())
     return np.stack(positions), np.stack(rotations)
+
+
+def _size(model: mujoco.MjModel) -> float:
+    """Return how far the moving geoms reach along the longest axis [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    moving = model.geom_bodyid > 0
+    if not moving.any():
+        return 1.0
+    centers, radii = data.geom_xpos[moving], model.geom_rbound[moving, None]
+    return float(((centers + radii).max(axis=0) - (centers - radii).min(axis=0)).max())
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.replay import Film, Replay
+from ailsrs_jax.show.episodes.replay import Film, Replay
 
 INSTALL = "on Debian or Ubuntu: apt-get install libegl1 libgl1, or libosmesa6"
 SHADOW_SIZE = 2048  # on a CPU MuJoCo's default of 4096 takes a third of the time of a frame

@@ -1,0 +1,1 @@
+"""One or a few episodes: their poses, pictures of them, and a page that plays them."""

@@ -1,0 +1,108 @@
+"""The frames of a video: pictures of episodes below captions, side by side."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ailsrs_jax.show.episodes.renderer import pictures
+from ailsrs_jax.show.episodes.replay import Film, Replay
+
+COLUMNS = 4  # of pictures
+GAP = 4  # pixels between them
+INK, PALE, DARK, WARM = "#f8fafc", "#94a3b8", "#0f172a", "#fbbf24"
+
+Watch = Callable[[int, int], object]  # receives how many pictures are done, of how many
+
+
+def unwatched(done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def frames_of(
+    replays: Sequence[Replay | Film],
+    labels: Sequence[str],
+    steps: Sequence[int],
+    size: int,
+    watch: Watch,
+    *,
+    facts: Sequence[str] | None = None,
+    colors: Sequence[str] | None = None,
+) -> np.ndarray:
+    """Return ``(T, H, W, 3)`` uint8: the episodes after each of ``steps`` steps, side by side.
+
+    Args:
+        replays: the episodes.
+        labels: the left half of the caption of each.
+        steps: increasing numbers of environment steps.
+        size: height and width of each picture in pixels.
+        watch: called after each picture.
+        facts: the right half of the caption of each; by default the return so far and the time.
+        colors: of the labels.
+
+    Raises:
+        UserError: there is no renderer.
+    """
+    # One video at a time: two open renderers would switch their OpenGL context every frame.
+    videos: list[np.ndarray] = []
+    for number, (replay, label) in enumerate(zip(replays, labels, strict=True)):
+        fact = None if facts is None else facts[number]
+        color = INK if colors is None else colors[number]
+        shown = []
+        for picture in _captioned_pictures(replay, label, steps, size, fact, color):
+            shown.append(picture)
+            watch(number * len(steps) + len(shown), len(replays) * len(steps))
+        videos.append(np.stack(shown))
+    return side_by_side(videos)
+
+
+def side_by_side(videos: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrange videos ``(T, h, w, 3)`` of the same shape in rows of at most ``COLUMNS``."""
+    num_frames, height, width, _ = videos[0].shape
+    columns = min(len(videos), COLUMNS)
+    rows = -(-len(videos) // columns)
+    shape = (num_frames, rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3)
+    together = np.empty(shape, np.uint8)
+    together[:] = tuple(bytes.fromhex(DARK[1:]))
+    for index, video in enumerate(videos):
+        top, left = index // columns * (height + GAP), index % columns * (width + GAP)
+        together[:, top : top + height, left : left + width] = video
+    return together
+
+
+def _captioned_pictures(
+    replay: Replay | Film, label: str, steps: Sequence[int], size: int, fact: str | None, color: str
+) -> Iterator[np.ndarray]:
+    """Yield the pictures at ``steps`` below a caption: the label, and ``fact`` or the return.
+
+    After the end of the episode the last picture stays, darker if the final state was terminal.
+    """
+    returns = np.concatenate([[0.0], np.cumsum(replay.env_rewards, dtype=np.float64)])
+    live = [step for step in steps if step <= replay.num_steps]
+    drawn = pictures(replay, [*live, replay.num_steps], size)
+
+    def captioned(picture: np.ndarray, step: int, *, ended: bool = False) -> np.ndarray:
+        text = fact or f"return {returns[step]:.0f}   {step * replay.dt:.1f} s"
+        words = [(label, color), (f"ended: {text}", WARM) if ended and not fact else (text, PALE)]
+        return _captioned(picture, words, size // 14 if fact else size // 22)
+
+    for step in live:
+        yield captioned(next(drawn), step)
+    if rest := len(steps) - len(live):
+        last = next(drawn)
+        if replay.ended:
+            last = last // 2
+        yield from [captioned(last, replay.num_steps, ended=replay.ended)] * rest
+
+
+def _captioned(picture: np.ndarray, words: Sequence[tuple[str, str]], half: int) -> np.ndarray:
+    """Add a line of text above, where a player's controls do not hide it; its height is even."""
+    height, width = picture.shape[:2]
+    bar = 2 * max(half, 8)
+    image = Image.new("RGB", (width, height + bar), DARK)
+    image.paste(Image.fromarray(picture), (0, bar))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=bar * 0.42)
+    middle, margin = bar / 2, bar * 0.4
+    for (text, color), at, anchor in zip(words, (margin, width - margin), ("lm", "rm")):
+        draw.text((at, middle), text, color, font, anchor=anchor)
+    return np.asarray(image)

@@ -1,0 +1,191 @@
+"""A film of a run: policies of a few iterations side by side, above the learning curve."""
+
+import dataclasses
+import functools
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from ailsrs_jax.data.policies import load_policy, policy_files
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.files import require_file
+from ailsrs_jax.runs.horizon import policy_horizon
+from ailsrs_jax.runs.storage.policies import EVALUATED, MILESTONES
+from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
+from ailsrs_jax.show.episodes.frames import DARK, INK, PALE, Watch, frames_of, unwatched
+from ailsrs_jax.show.episodes.renderer import require_renderer
+from ailsrs_jax.show.episodes.replay import replay
+from ailsrs_jax.show.style import encoded
+from ailsrs_jax.show.video import SECONDS, Animation, require_output
+
+COLORS = ("#94a3b8", "#38bdf8", "#34d399", "#fbbf24")  # of the policies, the kept one is last
+PICTURE_SIZE = 240
+CURVE_HEIGHT = 0.7  # of a picture's
+DRAWN_AFTER = 0.75  # of the film; the rest of it shows the whole curve
+INCHES = 2.4  # of a picture
+PARTS = ("axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
+PALE_AXES: Any = dict.fromkeys(PARTS, PALE)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LearningFilm(Animation):
+    """Episodes of policies of one run, and below them its learning curve, which draws itself.
+
+    Attributes:
+        values: how good the policy of each iteration is, as it was measured in training.
+        unit: of these.
+        iterations: those of the episodes.
+    """
+
+    values: np.ndarray = dataclasses.field(kw_only=True)
+    unit: Literal["% of the expert", "return"] = dataclasses.field(kw_only=True)
+    iterations: list[int] = dataclasses.field(kw_only=True)
+
+    @functools.cached_property
+    def frames(self) -> np.ndarray:
+        """``(T, H, W, 3)`` uint8.
+
+        Raises:
+            UserError: there is no renderer.
+        """
+        colors = COLORS[-len(self.iterations) :]
+        above = frames_of(
+            self.replays,
+            self.labels,
+            self.steps,
+            self.size,
+            self.watch,
+            facts=[self._fact(value) for value in self.values[self.iterations]],
+            colors=colors,
+        )
+        num_frames, _, width, _ = above.shape
+        height = 2 * round(CURVE_HEIGHT * self.size / 2)
+        empty, drawn = (self._curve(width, height, colors, shown) for shown in (False, True))
+        below = np.stack([empty] * num_frames)
+        for frame, end in enumerate(np.linspace(0, width / DRAWN_AFTER, num_frames).astype(int)):
+            below[frame, :, :end] = drawn[:, :end]
+        return np.concatenate([above, below], axis=1)
+
+    def _fact(self, value: float) -> str:
+        return f"return {value:.0f}" if self.unit == "return" else f"{value:.0f} {self.unit}"
+
+    def _curve(self, width: int, height: int, colors: tuple[str, ...], shown: bool) -> np.ndarray:
+        """Draw the values of all iterations, or only the axes, ``(height, width, 3)`` uint8."""
+        with matplotlib.rc_context(PALE_AXES):
+            dpi = self.size / INCHES  # letters grow with the pictures
+            figure = Figure(((width + 0.5) / dpi, (height + 0.5) / dpi), facecolor=DARK)
+            figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.1)
+            axes = figure.add_subplot(facecolor=DARK)
+            if self.unit != "return":
+                axes.axhline(100, color=PALE, linestyle="--", linewidth=1)
+            axes.plot(self.values, color=INK, linewidth=1.5, visible=shown)
+            at = self.iterations
+            axes.scatter(at, self.values[at], c=colors, s=60, zorder=3, visible=shown)
+            axes.set(xlabel="iteration", ylabel=self.unit)
+            axes.spines[["top", "right"]].set_visible(False)
+            picture = Image.open(io.BytesIO(encoded(figure, "png", dpi=dpi)))
+        return np.asarray(picture.convert("RGB"))
+
+
+def film_learning(
+    policy: Path,
+    output: Path,
+    *,
+    physics: str = "auto",
+    seed: int = 0,
+    seconds: float = SECONDS,
+    size: int = PICTURE_SIZE,
+    watch: Watch = unwatched,
+) -> LearningFilm:
+    """Show how a run learned: its first policy, two between, and the kept one.
+
+    Args:
+        policy: a run directory, whose first seed is shown, or the ``policy.npz`` of another seed.
+        output: an ``.mp4`` or ``.webp`` file.
+        physics: as in :func:`~ailsrs_jax.show.video.render`, as for the arguments below.
+        seed: seed of the initial state, which all episodes share.
+        seconds: longest part of each episode to show.
+        size: height and width of each picture in pixels.
+        watch: called with the number of pictures that are drawn, and that of all.
+
+    Raises:
+        UserError: an argument is wrong, the run did not store its policies, MuJoCo does not
+            simulate the task, or there is no renderer.
+    """
+    if output.suffix == ".html":
+        raise UserError(f"{output}: a film of the learning is an .mp4 or a .webp")
+    require_output(output, size)
+    kept_file = policy_files(policy)[0].absolute()
+    require_file(kept_file)
+    seed_directory = kept_file.parent
+    run = read_run(seed_directory.parent)
+    files, returns = stored_policies(run, seed_directory)
+    iterations = choose({iteration: returns[iteration] for iteration in files})
+    policies = {iteration: load_policy(files[iteration]) for iteration in iterations}
+    for iteration, each in policies.items():
+        if each.env_id != run.config["env_id"]:
+            raise UserError(f"{files[iteration]} is of {each.env_id}, not of the run's task")
+    require_renderer()
+    expert = run.expert_return or 0.0
+    length = policy_horizon(kept_file)
+    film = LearningFilm(
+        replays=[
+            replay(each, physics=physics, seed=seed, seconds=seconds, episode_length=length)
+            for each in policies.values()
+        ],
+        labels=[f"iteration {iteration}" for iteration in iterations],
+        size=size,
+        watch=watch,
+        values=100 * returns / expert if expert > 0 else returns,
+        unit="% of the expert" if expert > 0 else "return",
+        iterations=iterations,
+    )
+    film.save(output)
+    return film
+
+
+def stored_policies(run: SavedRun, seed_directory: Path) -> tuple[dict[int, Path], np.ndarray]:
+    """Return the files of a seed's policies by iteration, the kept one last, and all returns.
+
+    Raises:
+        UserError: the run has no such seed or row, or has stored no policy but the kept one.
+    """
+    names = {f"seed_{seed}": seed for seed in run.kept_iterations}
+    if seed_directory.name not in names:
+        raise UserError(f"{seed_directory} is not of a seed that the run has kept a policy of")
+    seed = names[seed_directory.name]
+    kept = run.kept_iterations[seed]
+    returns = run.metrics["evaluation_return"][run.metrics["seed"] == seed]
+    if kept >= len(returns):
+        raise UserError(f"{run.directory / 'metrics.csv'} has no row of the kept iteration {kept}")
+    earlier = sorted(iteration for iteration in MILESTONES if iteration < kept)
+    files = {iteration: seed_directory / EVALUATED / f"{iteration}.npz" for iteration in earlier}
+    files = {iteration: file for iteration, file in files.items() if file.is_file()}
+    if not files and kept > 0:
+        raise UserError(
+            f"{seed_directory} has no {EVALUATED}/0.npz and so on: the run is of an earlier "
+            "version, which stored only the kept policy; train it again"
+        )
+    return files | {kept: seed_directory / "policy.npz"}, returns
+
+
+def choose(returns: Mapping[int, float]) -> list[int]:
+    """Return the first iteration, the last, and the two that divide the way between them best.
+
+    Their returns are the nearest to one third and two thirds of the way.
+    """
+    first, *between, last = returns if len(returns) > 1 else [*returns, *returns]
+    chosen = {first, last}
+    for share in (1 / 3, 2 / 3):
+        goal = returns[first] + share * (returns[last] - returns[first])
+        if between:
+            nearest = min(between, key=lambda iteration: abs(returns[iteration] - goal))
+            between.remove(nearest)
+            chosen.add(nearest)
+    return sorted(chosen)

@@ -19,7 +19,7 @@ from ailsrs_jax import own_code
 from ailsrs_jax.cli import measure, show
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.runs.storage.saved_run import read_run
-from ailsrs_jax.show import page, report, sweep_page
+from ailsrs_jax.show.reports import page, report, sweep_page
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import COLUMNS
 from ailsrs_jax.sweeps.spec import expand, read_spec

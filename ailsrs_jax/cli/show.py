@@ -86,7 +86,7 @@ def report(
         episodes: Episodes of each policy of a run, to measure its return.
         no_video: Leave out the video of the policies, which takes the most time.
     """
-    from ailsrs_jax.show.report import report
+    from ailsrs_jax.show.reports.report import report
 
     allow_env(env)
     with terminal.console.status("writing the report"):

@@ -8,7 +8,16 @@ from matplotlib import style
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.curves import draw_discriminators
 from ailsrs_jax.show.figures import draw_figures
-from ailsrs_jax.show.page import SCORES, Media, Page, Tile, embedded, millions, play, policies_of
+from ailsrs_jax.show.reports.page import (
+    SCORES,
+    Media,
+    Page,
+    Tile,
+    embedded,
+    millions,
+    play,
+    policies_of,
+)
 from ailsrs_jax.show.style import STYLE
 from ailsrs_jax.show.sweep_report import EXPLANATION, result_tables
 from ailsrs_jax.show.video import shipped_expert

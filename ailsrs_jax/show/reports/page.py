@@ -61,7 +61,7 @@ class Page:
     def html(self) -> str:
         """Return the page, which loads nothing and forbids the browser to load anything."""
         environment = jinja2.Environment(
-            loader=jinja2.PackageLoader("ailsrs_jax", "show"),
+            loader=jinja2.PackageLoader("ailsrs_jax", "show/reports"),
             autoescape=True,
             undefined=jinja2.StrictUndefined,
             trim_blocks=True,

@@ -13,8 +13,17 @@ from ailsrs_jax.runs.evaluation import Evaluation, evaluate
 from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.curves import by_seed, draw_curves
-from ailsrs_jax.show.page import SCORES, Media, Page, Tile, embedded, millions, play, policies_of
-from ailsrs_jax.show.sweep_page import sweep_page
+from ailsrs_jax.show.reports.page import (
+    SCORES,
+    Media,
+    Page,
+    Tile,
+    embedded,
+    millions,
+    play,
+    policies_of,
+)
+from ailsrs_jax.show.reports.sweep_page import sweep_page
 from ailsrs_jax.show.sweep_report import Table, plus_minus
 from ailsrs_jax.show.video import shipped_expert
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE

@@ -18,7 +18,7 @@ from ailsrs_jax.data.sources import Source
 from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.show import renderer as offscreen
-from ailsrs_jax.show.page import Media, Page, Tile
+from ailsrs_jax.show.reports.page import Media, Page, Tile
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import data_uri, encode
 from ailsrs_jax.trainers.algorithms import preset_settings

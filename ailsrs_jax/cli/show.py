@@ -76,7 +76,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page on a run or a sweep.
 
-    It shows settings, curves, tables, a video, the command that made it, and versions.
+    It begins with the answer, and shows tables, a video, curves, weights and settings.
 
     Example: ailsrs report runs/hopper
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.run import train as train
     from ailsrs_jax.runs.storage.metrics import IterationReport as IterationReport
     from ailsrs_jax.show.export import export as export
-    from ailsrs_jax.show.report import report as report
+    from ailsrs_jax.show.reports.report import report as report
     from ailsrs_jax.show.sweep_report import report_sweep as report_sweep
     from ailsrs_jax.show.video import Animation as Animation
     from ailsrs_jax.show.video import render as render
@@ -118,7 +118,7 @@ _HOMES = {
     "preset_settings": "trainers.algorithms",
     "record": "runs.demonstrate",
     "render": "show.video",
-    "report": "show.report",
+    "report": "show.reports.report",
     "report_sweep": "show.sweep_report",
     "save_demonstrations": "data.demonstrations",
     "save_minari": "data.episodes",

@@ -24,7 +24,7 @@ TRAINING = {"workers", "components", "envs", "envs/physics", "envs/tasks", "data
 for folder in (
     *("trainers/parts", "trainers", "runs/storage", "runs"),
     *("runs/experts", "runs/benchmark", "runs/inspection"),
-    *("sweeps", "show/episodes", "show", "cli"),
+    *("sweeps", "show/episodes", "show", "show/reports", "cli"),
 ):
     BELOW[folder] = set(TRAINING)
     TRAINING.add(folder)

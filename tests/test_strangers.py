@@ -19,7 +19,7 @@ from ailsrs_jax import own_code
 from ailsrs_jax.cli import measure, show
 from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.runs.storage.saved_run import read_run
-from ailsrs_jax.show import page, report, sweep_page
+from ailsrs_jax.show.reports import sweep_page
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import COLUMNS
 from ailsrs_jax.sweeps.spec import expand, read_spec
@@ -153,9 +153,7 @@ def trap(in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         path.write_text(EVIL.format(trace=str(trace)))
 
     monkeypatch.syspath_prepend(in_tmp_path)
-    for module in (report, page, sweep_page):  # figures take time, and show no names
-        monkeypatch.setattr(module, "embedded", lambda *_: "")
-    monkeypatch.setattr(sweep_page, "_figures", lambda *_: [])
+    monkeypatch.setattr(sweep_page, "_figures", lambda *_: [])  # they take time
     return trace
 
 

@@ -84,7 +84,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page on a run or a sweep.
 
-    It shows settings, curves, tables, a video, the command that made it, and versions.
+    It begins with the answer, and shows tables, a video, curves, weights and settings.
 
     Example: ailsrs report runs/hopper
 
@@ -94,7 +94,7 @@ def report(
         episodes: Episodes of each policy of a run, to measure its return.
         no_video: Leave out the video of the policies, which takes the most time.
     """
-    from ailsrs_jax.show.report import report
+    from ailsrs_jax.show.reports.report import report
 
     allow_env(env)
     with terminal.console.status("writing the report"):

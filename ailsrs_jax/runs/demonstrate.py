@@ -196,6 +196,7 @@ def expert_demonstrations(
     *,
     of_paper: bool = False,
     episode_length: int = EPISODE_LENGTH,
+    only_cached: bool = False,
 ) -> Demonstrations:
     """Return demonstrations of the expert that ships with the package, from the cache if possible.
 
@@ -208,6 +209,10 @@ def expert_demonstrations(
         physics: ``auto``, ``mjx`` or ``mujoco``.
         of_paper: use the expert that returns what the paper's does, where there are two.
         episode_length: the time limit in environment steps.
+        only_cached: simulate nothing.
+
+    Raises:
+        UserError: there is no such expert, or ``only_cached`` and they are not in the cache.
     """
     path = expert_path(env_id, of_paper=of_paper)
     engine, _ = choose_engine(physics)
@@ -220,6 +225,8 @@ def expert_demonstrations(
     try:
         return load_demonstrations(cached)
     except UserError:
+        if only_cached:
+            raise
         demonstrations = demonstrate(
             load_policy(path), num_trajectories, physics=engine, episode_length=episode_length
         )

@@ -23,6 +23,7 @@ from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.demonstrate import roll_out
 from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.storage.config import require_seed
+from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Starts, simulate
 
 EVALUATION_STREAM = 2**31 - 1  # no demonstration has an episode of this number
@@ -34,6 +35,11 @@ class Evaluation:
 
     returns: np.ndarray  #: (E,), NaN for an episode that diverged
     lengths: np.ndarray  #: (E,)
+
+    @classmethod
+    def of(cls, episodes: Episodes) -> "Evaluation":
+        """Return those of ``episodes``."""
+        return cls(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
 
     @property
     def mean(self) -> float:
@@ -95,6 +101,29 @@ def evaluate(
     Raises:
         UserError: an argument is wrong, or the policy does not fit or is not stochastic.
     """
+    episodes = evaluation_episodes(
+        policy,
+        num_episodes,
+        physics,
+        seed,
+        env=env,
+        episode_length=episode_length,
+        stochastic=stochastic,
+    )
+    return Evaluation.of(episodes)
+
+
+def evaluation_episodes(
+    policy: SavedPolicy,
+    num_episodes: int,
+    physics: str,
+    seed: int = 0,
+    *,
+    env: Env | None = None,
+    episode_length: int | None = None,
+    stochastic: bool = False,
+) -> Episodes:
+    """Return the episodes that :func:`evaluate` measures."""
     if num_episodes < 1 or (episode_length is not None and episode_length < 1):
         raise UserError(
             f"{num_episodes} episodes of {episode_length} steps asked for: ask for at least one"
@@ -108,8 +137,7 @@ def evaluate(
     # These initial states differ from those of demonstrations with the same seed.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)
     starts = _resets(task, seed, num_episodes)
-    episodes = roll_out(policy, task, num_episodes, key, length, noise_std, starts)
-    return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
+    return roll_out(policy, task, num_episodes, key, length, noise_std, starts)
 
 
 def evaluate_random(
@@ -135,7 +163,7 @@ def evaluate_random(
     with host_errors():
         run = jax.jit(lambda: simulate(env, policies, starts, length, noise=noise))
         episodes = jax.block_until_ready(run())
-    return Evaluation(np.asarray(episodes.env_returns), np.asarray(episodes.lengths))
+    return Evaluation.of(episodes)
 
 
 def _open(env: Env | str, physics: str) -> Env:

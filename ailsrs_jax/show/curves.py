@@ -1,7 +1,6 @@
 """The training curves of runs."""
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ailsrs_jax.files import write_atomically
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, add_legend, encoded, panels
+from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, encoded, panels
 
 # The panels: a column of metrics.csv, the label of its axis and the limits of that axis.
 PANELS = {
@@ -69,26 +68,6 @@ def draw_curves(run: SavedRun) -> Figure:
         _explain_returns(all_axes["evaluation_return"], run)
         if "policy_score" in all_axes:
             _explain_scores(all_axes["policy_score"])
-    return figure
-
-
-def draw_discriminators(tasks: Mapping[str, Sequence[tuple[str, SavedRun]]]) -> Figure:
-    """Draw the discriminator's scores in a panel per task, for pairs of a series and a run."""
-    series = dict.fromkeys(name for runs in tasks.values() for name, _ in runs)
-    colors = dict(zip(series, itertools.cycle(COLORS)))
-    with style.context(LARGER):
-        figure, all_axes = panels(list(tasks), 3, row_height=3, width=4 * min(len(tasks), 3))
-        for task, axes in all_axes.items():
-            for name, run in tasks[task]:
-                label = name if len(series) > 1 else ""
-                steps, scores = run.metrics["env_steps"] / 1e6, run.metrics["policy_score"]
-                axes.plot(steps, scores, color=colors[name], label=label)
-                _draw_expert_score(axes, run.metrics, colors[name])
-            axes.set(title=task, xlabel=STEPS, ylim=(0, 1))
-        if len(series) > 1:
-            add_legend(figure, all_axes.values())
-        for axes in all_axes.values():
-            _explain_scores(axes)
     return figure
 
 

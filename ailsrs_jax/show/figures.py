@@ -56,12 +56,7 @@ def save_figures(results: SweepResults, directory: Path) -> None:
 def draw_figures(results: SweepResults) -> dict[str, Figure]:
     """Draw every figure for which there are results, by its name."""
     groups = group_cells(results.cells)
-    series = dict.fromkeys(group.series for group in groups)
-    cycles = zip(series, *map(itertools.cycle, (COLORS, MARKERS, LINES)))
-    looks: Looks = {
-        name: {"color": color, "marker": marker, "linestyle": line}
-        for name, color, marker, line in cycles
-    }
+    looks = looks_of(groups)
     with style.context(STYLE):
         drawn = {
             "figure_2": draw_demonstrations(groups, looks),
@@ -70,6 +65,16 @@ def draw_figures(results: SweepResults) -> dict[str, Figure]:
             "profiles": draw_profiles(groups, looks),
         }
     return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+def looks_of(groups: Iterable[Group]) -> Looks:
+    """Return the look of each series."""
+    series = dict.fromkeys(group.series for group in groups)
+    cycles = zip(series, *map(itertools.cycle, (COLORS, MARKERS, LINES)))
+    return {
+        name: {"color": color, "marker": marker, "linestyle": line}
+        for name, color, marker, line in cycles
+    }
 
 
 def draw_demonstrations(groups: Sequence[Group], looks: Looks) -> Figure | None:

@@ -10,8 +10,9 @@ from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.runs.horizon import LONGEST
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
-from ailsrs_jax.show import report
+from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show.episodes.replay import replay
+from ailsrs_jax.show.reports.run_page import run_page
 from tests.cli.test_cli import ailsrs, few_episodes  # noqa: F401
 from tests.point_mass import EPISODE_LENGTH, PointMass
 
@@ -70,9 +71,9 @@ def test_everything_measures_with_the_horizon_of_the_run(
     assert evaluation is not None
     assert evaluation.lengths.tolist() == [time_limit]
     assert f"at most {time_limit} steps" in Path("out/README.md").read_text()
-    page = report.run_page(report.read_run(Path("run")), episodes=1, video=False)
-    assert page.tables[0].rows[0][2] == str(time_limit)
-    assert [tile.label for tile in page.tiles][:3] == ["return", "expert", "of the expert's"]
+    page = run_page(read_run(Path("run")), episodes=1, video=False)
+    assert page.parts[0].rows[0][5] == str(time_limit)
+    assert page.tiles[0].value.endswith(" % of the expert")
     policy = ail.load_policy("run/seed_0/policy.npz")
     assert replay(policy, physics="mujoco", episode_length=time_limit).num_steps == time_limit
     animation = ail.render("run", "video.html", physics="mujoco", seconds=1e6)
@@ -89,9 +90,9 @@ def test_returns_of_other_horizons_are_not_compared(
     options = ("--iterations", "1", *settings, "--physics", "mujoco", "--output", "run")
     assert ailsrs(monkeypatch, *train, *options) == 0
     assert "in episodes of 30 steps, not 20" in " ".join(capsys.readouterr().out.split())
-    page = report.run_page(report.read_run(Path("run")), episodes=1, video=False)
-    assert [tile.label for tile in page.tiles][:2] == ["return", "expert"]
-    assert "of the expert's" not in [tile.label for tile in page.tiles]
+    page = run_page(read_run(Path("run")), episodes=1, video=False)
+    assert page.tiles[0].value.startswith("return ")
+    assert page.parts[0].rows[0][2] == "–"
     assert page.tiles[1].note.endswith("in episodes of 30 steps, not 20")
 
 

@@ -13,7 +13,7 @@ from ailsrs_jax.show import learning
 from ailsrs_jax.show.episodes.frames import GAP
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.learning import COLORS, LearningFilm, choose, film_learning, stored_policies
-from tests.show.test_report import write_run
+from tests.show.reports.test_report import write_run
 from tests.show.test_video import made_up
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.storage.saved_run import read_run
+from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.trainers.parts.reference import CLOSE, verdict
 
 WON = 0.9  # the gap of the scores from which the discriminator has won
@@ -32,7 +32,12 @@ def inspect_run(directory: Path) -> list[SeedInspection]:
     Raises:
         UserError: the directory holds no run, or one of an algorithm that does not imitate.
     """
-    run = read_run(directory)
+    return inspect_saved(read_run(directory))
+
+
+def inspect_saved(run: SavedRun) -> list[SeedInspection]:
+    """Do as :func:`inspect_run` with a run that was read."""
+    directory = run.directory
     if not {"expert_distance", "evaluation_length"} <= set(run.metrics):
         raise UserError(f"{directory} is of an algorithm that does not measure its distance")
     found = []

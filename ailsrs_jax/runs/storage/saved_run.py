@@ -62,6 +62,12 @@ class SavedRun:
         """Whether the run imitates demonstrations."""
         return self.source is not None
 
+    @property
+    def comparable_expert_return(self) -> float | None:
+        """The expert's return, if its episodes were as long as those of the run."""
+        mine, length = self.config["settings"].get("episode_length"), self.demonstrated_length
+        return self.expert_return if length in (None, mine) else None
+
     def without_folder(self) -> "SavedRun":
         """Return the run without the folder of its demonstrations, which is private."""
         source, command = self.source, self.command

@@ -1,9 +1,12 @@
 """The content of a page of ``ailsrs report``; ``page.html`` is its template."""
 
+import base64
 import dataclasses
+import hashlib
 from collections.abc import Sequence
 
 import jinja2
+import markupsafe
 from matplotlib.figure import Figure
 
 from ailsrs_jax.data.policies import SavedPolicy, load_policy
@@ -12,15 +15,13 @@ from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import replay
+from ailsrs_jax.show.reports.charts import Chart
+from ailsrs_jax.show.reports.weights import WeightMaps
 from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import Animation, data_uri
 
 SECONDS = 10.0  # of each episode that is shown
-SCORES = (
-    "The gap between the discriminator's scores of expert and policy shows how well it tells them "
-    "apart: near 0.5 it cannot; at 1 and 0 it has won, and the policy learns nothing more from it."
-)
 SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by the number of pictures
 
 
@@ -42,6 +43,9 @@ class Media:
     caption: str = ""
 
 
+Part = Chart | Table | WeightMaps | Media
+
+
 @dataclasses.dataclass(frozen=True)
 class Page:
     """Everything that the template shows, as text; the template escapes it."""
@@ -49,25 +53,27 @@ class Page:
     kind: str
     title: str
     subtitle: str
-    tiles: Sequence[Tile]
-    videos: Sequence[Media]
-    figures: Sequence[Media]
-    tables: Sequence[Table]
+    tiles: Sequence[Tile]  # the first is the answer, and the largest
+    parts: Sequence[Part]
     note: str  # on the tables
     commands: Sequence[str]
     settings: Sequence[tuple[str, str, bool]]  # name, value, whether it differs from the preset
     versions: Sequence[tuple[str, str]]
 
     def html(self) -> str:
-        """Return the page, which loads nothing and forbids the browser to load anything."""
+        """Return the page. It loads nothing, and the browser may run no script but its own."""
+        loader = jinja2.PackageLoader("ailsrs_jax", "show/reports")
         environment = jinja2.Environment(
-            loader=jinja2.PackageLoader("ailsrs_jax", "show"),
+            loader=loader,
             autoescape=True,
             undefined=jinja2.StrictUndefined,
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        return environment.get_template("page.html").render(vars(self))
+        script, *_ = loader.get_source(environment, "page.js")
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        own = {"script": markupsafe.Markup(script), "script_hash": f"sha256-{digest}"}
+        return environment.get_template("page.html").render(vars(self) | own)
 
 
 def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
@@ -105,9 +111,9 @@ def play(
     return Media(title, uri, f"{caption}.")
 
 
-def embedded(figure: Figure, kind: str) -> str:
-    """Return the figure as a data address; ``kind`` is ``png`` or ``svg``."""
-    return data_uri({"png": "image/png", "svg": "image/svg+xml"}[kind], encoded(figure, kind))
+def embedded(figure: Figure) -> str:
+    """Return the figure as the data address of a PNG."""
+    return data_uri("image/png", encoded(figure, "png"))
 
 
 def millions(steps: float) -> str:

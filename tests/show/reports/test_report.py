@@ -2,10 +2,13 @@
 
 import base64
 import dataclasses
+import hashlib
 import json
+import re
 import shutil
 import subprocess
 from fractions import Fraction
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,9 +19,15 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.own_code import allow
+from ailsrs_jax.runs.evaluation import Evaluation
+from ailsrs_jax.runs.inspection.run import SeedInspection
 from ailsrs_jax.runs.storage.config import RunConfig
+from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show.episodes import renderer as offscreen
-from ailsrs_jax.show.page import Media, Page, Tile
+from ailsrs_jax.show.reports import page, run_page
+from ailsrs_jax.show.reports.charts import Chart, Line, Panel
+from ailsrs_jax.show.reports.page import Media, Page, Tile
+from ailsrs_jax.show.reports.weights import WeightMaps
 from ailsrs_jax.show.sweep_report import Table
 from ailsrs_jax.show.video import data_uri, encode
 from ailsrs_jax.trainers.algorithms import preset_settings
@@ -28,14 +37,15 @@ from tests.sweeps.synthetic_sweep import row, write_sweep
 HOSTILE = "</title><script>alert(1)</script><img src=https://x.invalid/a onerror='alert(2)'>"
 POINT_MASS = "tests.point_mass:PointMass"
 METRICS = """\
-iteration,seed,env_steps,evaluation_return,expert_distance,policy_score,expert_score
-0,0,1000000,-30,0.5,0.2,0.8
-0,3,1000000,-40,0.9,0.3,0.7
-1,0,2000000,-10,0.25,0.4,0.6
-1,3,2000000,-20,nan,0.45,0.55
-2,0,3000000,-12,0.3,0.5,0.5
-2,3,3000000,-15,0.7,0.5,0.5
+iteration,seed,env_steps,evaluation_return,evaluation_length,expert_distance,policy_score,expert_score
+0,0,1000000,-30,60,0.5,0.2,0.8
+0,3,1100000,-40,60,0.9,0.3,0.7
+1,0,2000000,-10,60,0.25,0.4,0.6
+1,3,2200000,-20,60,nan,0.45,0.55
+2,0,3000000,-12,60,0.3,0.5,0.5
+2,3,3300000,-15,60,0.7,0.5,0.5
 """
+SCRIPT = Path(page.__file__).with_name("page.js").read_text()
 
 
 def write_run(directory: Path, **changes: Any) -> Path:
@@ -99,14 +109,18 @@ class Reader(HTMLParser):
 
 def require_harmless(page: Reader) -> None:
     """Nothing is run, and nothing loaded that is not in the page."""
-    assert not {"script", "iframe", "object", "embed", "base", "form"} & {t for t, _ in page.tags}
+    assert not {"iframe", "object", "embed", "base", "form"} & {t for t, _ in page.tags}
+    assert [attributes for tag, attributes in page.tags if tag == "script"] == [{}]
+    assert SCRIPT in page.words
     for tag, attributes in page.tags:
         assert not [name for name in attributes if name.startswith("on")], tag
         for name in ("src", "href", "srcset", "poster", "data"):
             assert (attributes.get(name) or "data:").startswith("data:"), attributes
     policy = next(a["content"] for t, a in page.tags if a.get("http-equiv"))
     assert policy is not None
-    assert policy.startswith("default-src 'none'")
+    allowed = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+    assert policy.startswith("default-src 'none'; ")
+    assert policy.endswith(f"script-src 'sha256-{allowed}'")
 
 
 def test_a_run(tmp_path: Path) -> None:
@@ -118,13 +132,15 @@ def test_a_run(tmp_path: Path) -> None:
     for expected in (
         f"AILSRS on {POINT_MASS}",
         "8 demonstrations mine.npz · preset tuned · physics none",
-        f"return {evaluation.mean:.0f} of one seed",
+        f"kept policy return {evaluation.mean:.0f} 1 of 2 seeds close to the expert; 1 of 2 seeds "
+        "in part like the expert, by the energy distance · one seed",
         "expert -20 return of the demonstrations",
-        "environment steps 3.00 M",
+        "environment steps 3.30 M",
         "iterations 3 of 84",
         # The smallest distance; of seed 3 the second is NaN, so it is the third.
-        f"0 {evaluation} 1000 1 0.250 0.400 0.600 -12",
-        "3 – – 2 0.700 0.500 0.500 -15",
+        f"0 {evaluation} – close to the expert 3.00 M 1000 1 0.250",
+        "3 – – in part like the expert 3.30 M – 2 0.700",
+        "Seed 3: the distance still falls: more iterations may help.",
         f"ailsrs train {POINT_MASS} --demonstrations mine.npz --num-trajectories 8 --seeds 0 3 "
         "--set noise_std=0.05",
         "it is not simulated by MuJoCo, so there is no model to draw",
@@ -133,9 +149,39 @@ def test_a_run(tmp_path: Path) -> None:
         assert expected in page.text
     changed = [a for t, a in page.tags if t == "div" and a.get("class") == "changed"]
     assert len(changed) == 1
-    (curves,) = [a["src"] for t, a in page.tags if t == "img"]
-    assert curves is not None
-    assert b"<svg" in base64.b64decode(curves.removeprefix("data:image/svg+xml;base64,"))
+    assert [t for t, _ in page.tags].count("svg") == 3  # return, distance, scores
+    assert "policy of seed 0 action 0 entry 0 -0.40 entry 1 -0.60" in page.text
+
+
+def test_the_answer_is_a_share_of_the_expert_and_a_verdict(tmp_path: Path) -> None:
+    run = dataclasses.replace(read_run(write_run(tmp_path / "run")), expert_return=200.0)
+    evaluations = {
+        seed: Evaluation(np.full(2, value), np.full(2, 60)) for seed, value in ((0, 190), (3, 98))
+    }
+    answer, *_ = run_page._tiles(run, evaluations, {})
+    assert answer.value == "72 % of the expert"
+    assert answer.note == "mean of 2 seeds, from 49 % to 95 %"
+    table = run_page._seed_table(run, evaluations, {}, 2, "")
+    assert [row[2] for row in table.rows] == ["95 %", "49 %"]
+    # Nothing was measured: the distance is still an answer.
+    judged = {0: SeedInspection(0, 1, 0.25, "close to the expert", ())}
+    assert run_page._tiles(run, {}, judged)[0].value == "close to the expert"
+
+
+def test_the_best_and_the_worst_seed_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = write_run(tmp_path / "run")
+    best = ail.load_policy(run / "seed_0" / "policy.npz")
+    still = dataclasses.replace(best, weights=np.zeros((1, 2)))
+    still.save(run / "seed_3" / "policy.npz")
+    shown: dict[str, Any] = {}
+    monkeypatch.setattr(run_page, "play", lambda _, policies, *__: shown.update(policies))
+    run_page.run_page(read_run(run), episodes=2)
+    assert {label: policy.weights.tolist() for label, policy in shown.items()} == {
+        "best: seed 0": best.weights.tolist(),
+        "worst: seed 3": [[0, 0]],
+    }
 
 
 def test_names_from_files_are_only_text(tmp_path: Path) -> None:
@@ -173,15 +219,19 @@ def test_a_sweep(tmp_path: Path) -> None:
     page = Reader(ail.report(tmp_path / "sweep"))
     require_harmless(page)
     for expected in (
-        "sweep sweep AILSRS ·",
-        "runs finished 7 of 8 tasks 2",
+        "sweep sweep 7 of 8 runs finished · 2 tasks · 1 to 2 seeds each · 8.40 M live steps",
         f"../../outside failed: {HOSTILE}",
         "Interquartile means over 2 conditions",
         "There are no runs beside these tables",
     ):
         assert expected in page.text
     images = [a["src"] or "" for t, a in page.tags if t == "img"]
-    assert len(images) == 4  # figure 3 of both, scores, profiles
+    assert len(images) == 2  # scores, profiles
+    # The table and a plot for each task come first; a series has one colour in all of them.
+    titles = page.text.index("Interquartile means"), page.text.index("Training")
+    assert titles[0] < titles[1] < page.text.index("Hopper-v5 demonstrations")
+    colors = {a["data-name"]: a["style"] for t, a in page.tags if t == "g"}
+    assert colors == {"AILSRS": "--color: #0072B2", f"{HOSTILE} $\\frac$": "--color: #D55E00"}
     for image in images:
         assert base64.b64decode(image.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
 
@@ -196,7 +246,7 @@ def test_a_sweep_shows_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     page = Reader(ail.report(tmp_path))
     assert "no video: MUJOCO_GL=disabled fails here; on Debian or Ubuntu: apt-get" in page.text
     assert f"ailsrs train {POINT_MASS}" in page.text
-    assert "Discriminator's scores The gap between" in page.text
+    assert "Discriminator's scores" in page.text
 
 
 @pytest.mark.parametrize(
@@ -270,27 +320,39 @@ def open_in_browser(page: Path, log: Path) -> tuple[str, list[str], list[str]]:
     return ran.stdout, console, sorted(asked)
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no chromium: apt-get install chromium")
-def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Path) -> None:
+def hostile_page() -> Page:
+    """A page with a part of each kind, and a name that would do harm in each place."""
     film = encode(np.zeros((3, 16, 16, 3), np.uint8), Fraction(10))
-    video = Media("video", data_uri("video/mp4", film), HOSTILE)
-    page = Page(
+    line = Line(HOSTILE, np.array([0.0, 1, 2]), np.array([10.0, 30, 20]), note=HOSTILE)
+    other = dataclasses.replace(line, name="other", y=np.array([0.0, 1, 2]), note="")
+    panel = Panel(HOSTILE, HOSTILE, HOSTILE, [line, other], {HOSTILE: 5.0})
+    return Page(
         kind="run",
         title=HOSTILE,
         subtitle=HOSTILE,
         tiles=[Tile(HOSTILE, HOSTILE)],
-        videos=[video],
-        figures=[],
-        tables=[Table(HOSTILE, [HOSTILE], [[HOSTILE]])],
+        parts=[
+            Chart(HOSTILE, [panel], {HOSTILE: "red", "other": "blue"}, HOSTILE),
+            Table(HOSTILE, [HOSTILE], [[HOSTILE]], HOSTILE),
+            WeightMaps(HOSTILE, {HOSTILE: [(HOSTILE, [1.0])]}, [HOSTILE], 1.0, HOSTILE),
+            Media("video", data_uri("video/mp4", film), HOSTILE),
+            Media(HOSTILE, None, HOSTILE),
+        ],
         note=HOSTILE,
         commands=[HOSTILE, HOSTILE],
         settings=[(HOSTILE, HOSTILE, True)],
         versions=[(HOSTILE, HOSTILE)],
     )
-    (tmp_path / "page.html").write_text(page.html())
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium: apt-get install chromium")
+def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(hostile_page().html())
+    require_harmless(Reader(tmp_path / "page.html"))
     document, console, asked = open_in_browser(tmp_path / "page.html", tmp_path / "log.json")
     assert "</html>" in document
-    assert "<script" not in document
+    (tmp_path / "seen.html").write_text(document)
+    require_harmless(Reader(tmp_path / "seen.html"))
     assert (console, asked) == ([], [])
 
     # And it would have been heard.
@@ -299,3 +361,33 @@ def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tmp_path: Pat
     _, console, asked = open_in_browser(tmp_path / "bad.html", tmp_path / "bad.json")
     assert any("heard" in line for line in console)
     assert "http://127.0.0.1:9/picture" in asked
+
+
+MOUSE = """<script>
+const svg = document.querySelector(".panel svg"), box = svg.getBoundingClientRect();
+function move() {
+  const at = { clientX: box.left + box.width / 2, clientY: box.top + 20 };
+  svg.dispatchEvent(new PointerEvent("pointermove", at));
+  const rows = [...document.querySelectorAll(".tip div")].map((row) => row.textContent);
+  document.body.append(JSON.stringify(rows), ";");
+}
+move();
+document.querySelector(".legend button").click();
+move();
+svg.dispatchEvent(new PointerEvent("pointerleave"));
+document.body.append(document.querySelector(".tip").hidden);
+</script>"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium: apt-get install chromium")
+def test_curves_answer_the_mouse(tmp_path: Path) -> None:
+    """The value under the cursor is shown; a click on the legend hides a series."""
+    html = re.sub("script-src '[^']*'", "script-src 'unsafe-inline'", hostile_page().html())
+    (tmp_path / "page.html").write_text(html.replace("</body>", f"{MOUSE}</body>"))
+    document, console, _ = open_in_browser(tmp_path / "page.html", tmp_path / "log.json")
+    assert console == []
+    told = unescape(document.rpartition("</script>")[2].partition("</body>")[0])
+    both, one, is_hidden = told.split(";")
+    assert json.loads(both) == [f"{HOSTILE} 1", f"{HOSTILE}, {HOSTILE}: 30", "other: 1"]
+    assert json.loads(one) == [f"{HOSTILE} 1", "other: 1"]
+    assert is_hidden.strip() == "true"

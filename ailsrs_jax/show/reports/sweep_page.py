@@ -6,9 +6,10 @@ from pathlib import Path
 from matplotlib import style
 
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
-from ailsrs_jax.show.curves import draw_discriminators
-from ailsrs_jax.show.figures import draw_figures
-from ailsrs_jax.show.page import SCORES, Media, Page, Tile, embedded, millions, play, policies_of
+from ailsrs_jax.show.figures import draw_profiles, draw_scores, looks_of
+from ailsrs_jax.show.reports.charts import colors_of
+from ailsrs_jax.show.reports.curves import draw_discriminators, draw_numbers, draw_series, seeds
+from ailsrs_jax.show.reports.page import Media, Page, Part, embedded, millions, play, policies_of
 from ailsrs_jax.show.style import STYLE
 from ailsrs_jax.show.sweep_report import EXPLANATION, result_tables
 from ailsrs_jax.show.video import shipped_expert
@@ -16,12 +17,6 @@ from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import Group, group_cells
 
 MOST_SHOWN = 4  # pictures of a video: the expert and the first three series
-TITLES = {  # of figures, by how their names begin
-    "figure_2": "Return against the number of demonstrations",
-    "figure_3": "Training curves",
-    "scores": "Normalised returns",
-    "profiles": "Performance profiles",
-}
 
 Runs = Mapping[str, SavedRun]  # by the name of their cell
 
@@ -34,34 +29,45 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
     """
     results = read_results(directory)
     groups = group_cells(results.cells)
-    series = dict.fromkeys(group.series for group in groups)
+    colors = colors_of(group.series for group in groups)
     # A cell's name becomes no path: directories that exist are looked up by their names.
     there = {path.name: path for path in directory.glob("cells/*") if path.is_dir()}
     runs = {cell.cell: read_run(there[cell.cell]) for cell in results.done if cell.cell in there}
     versions = next(iter(runs.values())).config["versions"] if runs else {}
+    tables = result_tables(results)
+    parts: list[Part | None] = [
+        *tables[:1],
+        draw_series(groups, results, colors),
+        *tables[1:],
+        draw_numbers(groups, colors),
+        *_figures(groups),
+        draw_discriminators(groups, runs, colors),
+        *(_videos(groups, runs) if video else []),
+    ]
     return Page(
         kind="sweep",
         title=directory.resolve().name,
-        subtitle=" · ".join(series),
-        tiles=[
-            Tile("runs finished", str(len(results.done)), f"of {len(results.cells)}"),
-            Tile("tasks", str(len({cell.env_id for cell in results.done}))),
-            Tile("series", str(len(series))),
-            Tile("seeds", str(len({cell.seed for cell in results.done}))),
-            Tile(
-                "environment steps",
-                millions(sum(cell.env_steps for cell in results.done)),
-                "live steps of all runs",
-            ),
-        ],
-        videos=_videos(groups, runs) if video else [],
-        figures=[*_figures(results), *_discriminators(groups, runs)],
-        tables=result_tables(results),
+        subtitle=_facts(results, groups),
+        tiles=[],
+        parts=[part for part in parts if part is not None],
         note=EXPLANATION.replace("*", ""),
         commands=[command for run in runs.values() if (command := run.command)],
         settings=[],
         versions=[(name, str(version)) for name, version in versions.items()],
     )
+
+
+def _facts(results: SweepResults, groups: Sequence[Group]) -> str:
+    facts = [f"{len(results.done)} of {len(results.cells)} runs finished"]
+    if groups:
+        number = len({group.env_id for group in groups})
+        steps = millions(sum(cell.env_steps for cell in results.done))
+        facts += [
+            f"{number} task{'s' * (number > 1)}",
+            f"{seeds(*(len(group.cells) for group in groups))} each",
+            f"{steps} live steps",
+        ]
+    return " · ".join(facts)
 
 
 def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
@@ -88,24 +94,11 @@ def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
     return videos
 
 
-def _figures(results: SweepResults) -> list[Media]:
-    drawn = draw_figures(results)
+def _figures(groups: Sequence[Group]) -> list[Media]:
+    looks = looks_of(groups)
     with style.context(STYLE):
-        return [
-            Media(title, embedded(figure, "png"))
-            for begin, title in TITLES.items()
-            for name, figure in drawn.items()
-            if name.startswith(begin)
-        ]
-
-
-def _discriminators(groups: Sequence[Group], runs: Runs) -> list[Media]:
-    """Show the discriminator's scores of all runs that have one."""
-    tasks: dict[str, list[tuple[str, SavedRun]]] = {}
-    for group in groups:
-        for cell in group.cells:
-            if cell.cell in runs and "policy_score" in runs[cell.cell].metrics:
-                tasks.setdefault(group.env_id, []).append((group.series, runs[cell.cell]))
-    if not tasks:
-        return []
-    return [Media("Discriminator's scores", embedded(draw_discriminators(tasks), "svg"), SCORES)]
+        drawn = {
+            "Normalised returns": draw_scores(groups, looks),
+            "Performance profiles": draw_profiles(groups, looks),
+        }
+        return [Media(title, embedded(figure)) for title, figure in drawn.items() if figure]

@@ -1,0 +1,1 @@
+"""The pages of ``ailsrs report``."""

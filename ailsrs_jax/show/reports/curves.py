@@ -1,0 +1,147 @@
+"""The curves of a page: those of a run, and those of a sweep with one colour for each series."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from ailsrs_jax.runs.storage.saved_run import SavedRun
+from ailsrs_jax.show.curves import EVEN, PANELS, STEPS, by_seed
+from ailsrs_jax.show.reports.charts import Chart, Line, Panel
+from ailsrs_jax.sweeps.results import Curve, SweepResults
+from ailsrs_jax.sweeps.statistics import Group, mean_curve
+from ailsrs_jax.trainers.parts.reference import CLOSE
+
+SCORES = (
+    "The gap between the discriminator's scores of expert (dashed) and policy (solid) shows how "
+    "well it tells them apart. Near 0.5 it cannot. At 1 and 0 it has won, and the policy learns "
+    "nothing more from it."
+)
+
+
+def seed_name(seed: int) -> str:
+    """Return the name of a seed's lines."""
+    return f"seed {seed}"
+
+
+def draw_run(run: SavedRun, colors: Mapping[str, str]) -> Chart:
+    """Draw what the run has measured of each seed; a dot marks the policy that is kept."""
+    expert = run.comparable_expert_return
+    levels = {
+        "evaluation_return": {} if expert is None else {"expert": expert},
+        "expert_distance": {"close to the expert": CLOSE},
+        "policy_score": {"cannot tell": EVEN},
+    }
+    panels = []
+    for column in (name for name in PANELS if name in run.metrics):
+        label, limits = PANELS[column]
+        if column == "evaluation_return" and run.imitates:
+            label = "return, not trained on"
+        lines = []
+        for seed, mine in by_seed(run.metrics).items():
+            name, steps = seed_name(seed), mine["env_steps"] / 1e6
+            at = mine["iteration"] == run.kept_iterations.get(seed)
+            lines += _score_lines(name, mine) if column == "policy_score" else []
+            lines += [] if column == "policy_score" else [Line(name, steps, mine[column])]
+            lines.append(Line(name, steps[at], mine[column][at], "marks", note="kept"))
+        panels.append(
+            Panel("", STEPS, label, lines, levels.get(column, {}), limits or (None, None))
+        )
+    caption = f"A dot marks the iteration whose policy is kept. {SCORES}"
+    return Chart("Training", panels, colors, caption)
+
+
+def draw_series(
+    groups: Sequence[Group], results: SweepResults, colors: Mapping[str, str]
+) -> Chart | None:
+    """Draw the mean return of each series over training, a panel for each task.
+
+    The curves are those with the most demonstrations, and of all seeds.
+    """
+    chosen: dict[str, dict[str, tuple[Group, list[Curve]]]] = {}
+    for group in sorted(groups, key=lambda group: group.num_trajectories or 0):
+        curves = [results.curves[cell.cell] for cell in group.cells if cell.cell in results.curves]
+        if curves:
+            chosen.setdefault(group.env_id, {})[group.series] = group, curves
+    panels = []
+    for task in (task for task in dict.fromkeys(g.env_id for g in groups) if task in chosen):
+        lines = []
+        for name, (_, curves) in chosen[task].items():
+            mean = mean_curve(curves)
+            returns = np.array([curve.returns[: len(mean.returns)] for curve in curves])
+            band = np.fmin.reduce(returns), np.fmax.reduce(returns)
+            steps = mean.env_steps / 1e6
+            lines.append(Line(name, steps, mean.returns, band=band, note=seeds(len(curves))))
+        compared = [group for group, _ in chosen[task].values() if group.has_comparable_curves]
+        panels.append(Panel(task, STEPS, "return", lines, _levels(compared)))
+    caption = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
+    if any(group.num_trajectories for group in groups):
+        caption += " The runs are those with the most demonstrations."
+    return Chart("Training", panels, colors, caption) if panels else None
+
+
+def draw_numbers(groups: Sequence[Group], colors: Mapping[str, str]) -> Chart | None:
+    """Draw the return of the kept policy against the number of demonstrations."""
+    given = [group for group in groups if group.num_trajectories is not None]
+    if len({group.num_trajectories for group in given}) < 2:
+        return None
+    panels = []
+    for task in dict.fromkeys(group.env_id for group in given):
+        lines = []
+        for name in colors:
+            mine = [group for group in given if (group.env_id, group.series) == (task, name)]
+            if not mine:
+                continue
+            mine.sort(key=lambda group: group.num_trajectories or 0)
+            returns = [group.values("return_mean") for group in mine]
+            mean, low, high = (
+                np.array([how(values) for values in returns]) for how in (np.mean, np.min, np.max)
+            )
+            numbers = np.array([group.num_trajectories for group in mine], float)
+            counts = {len(values) for values in returns}
+            lines.append(Line(name, numbers, mean, band=(low, high), note=seeds(*counts)))
+        mine = [group for group in given if group.env_id == task]
+        panels.append(Panel(task, "demonstrations", "return", lines, _levels(mine)))
+    title = "Return of the kept policy against the number of demonstrations"
+    caption = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
+    return Chart(title, panels, colors, caption)
+
+
+def draw_discriminators(
+    groups: Iterable[Group], runs: Mapping[str, SavedRun], colors: Mapping[str, str]
+) -> Chart | None:
+    """Draw the discriminator's scores of all ``runs``, by cell, that have one."""
+    tasks: dict[str, list[Line]] = {}
+    for group in groups:
+        for cell in group.cells:
+            if cell.cell in runs and "policy_score" in runs[cell.cell].metrics:
+                lines = _score_lines(group.series, runs[cell.cell].metrics)
+                tasks.setdefault(group.env_id, []).extend(lines)
+    panels = [
+        Panel(task, STEPS, "discriminator's score", lines, {"cannot tell": EVEN}, (0, 1))
+        for task, lines in tasks.items()
+    ]
+    return Chart("Discriminator's scores", panels, colors, SCORES) if panels else None
+
+
+def _score_lines(name: str, metrics: Mapping[str, np.ndarray]) -> list[Line]:
+    steps = metrics["env_steps"] / 1e6
+    lines = [Line(name, steps, metrics["policy_score"], note="the policy")]
+    if "expert_score" in metrics:
+        lines.append(Line(name, steps, metrics["expert_score"], "dashed", note="the expert"))
+    return lines
+
+
+def _levels(groups: Sequence[Group]) -> dict[str, float]:
+    """Return the mean returns of random actions and of each source of demonstrations."""
+    levels: dict[str, list[np.ndarray]] = {}
+    for group in groups:
+        source = group.cells[0].demonstrations
+        levels.setdefault(f"expert {source}".strip(), []).append(group.values("expert_return"))
+        levels.setdefault("random", []).append(group.values("random_return"))
+    return {name: float(np.concatenate(returns).mean()) for name, returns in levels.items()}
+
+
+def seeds(*numbers: int) -> str:
+    """Return a number of seeds, or the smallest and the largest, for people."""
+    least, most = min(numbers), max(numbers)
+    return f"{most} seed{'s' * (most > 1)}" if least == most else f"{least} to {most} seeds"

@@ -1,0 +1,210 @@
+"""The page of a run: the answer, then what it does, how it went, and what it has learned."""
+
+import collections
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.envs.registry import TASKS, is_gymnasium
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.evaluation import Evaluation, evaluation_episodes
+from ailsrs_jax.runs.horizon import saved_horizon
+from ailsrs_jax.runs.inspection.run import SeedInspection, inspect_saved
+from ailsrs_jax.runs.storage.saved_run import SavedRun
+from ailsrs_jax.show.curves import by_seed
+from ailsrs_jax.show.reports.charts import colors_of
+from ailsrs_jax.show.reports.curves import draw_run, seed_name
+from ailsrs_jax.show.reports.page import Media, Page, Part, Tile, millions, play, policies_of
+from ailsrs_jax.show.reports.states import expert_steps, projection, some_states
+from ailsrs_jax.show.reports.weights import weight_maps
+from ailsrs_jax.show.sweep_report import Table, plus_minus
+from ailsrs_jax.show.video import shipped_expert
+
+EPISODES = 100
+MEASURES = {  # columns of metrics.csv in the table of seeds, and their titles
+    "expert_distance": "energy distance",
+    "validation_loss": "validation loss",
+}
+
+
+def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> Page:
+    """Return the page of a run.
+
+    Raises:
+        UserError: a policy in its directory is damaged.
+    """
+    config = run.config
+    policies = policies_of(run)
+    evaluations, states, problem = _evaluate(run, policies, episodes)
+    inspections = _inspect(run)
+    ranked = sorted(policies, key=lambda seed: _rank(seed, evaluations, inspections))
+    shown_seeds = ranked[:1] + (ranked[1:][-1:] if evaluations or inspections else [])
+    ends = dict(zip(shown_seeds, ("best", "worst")))
+    colors = colors_of(map(seed_name, config["seeds"]))
+    learns_from = "the environment's reward"
+    if run.imitates:
+        learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
+    expert = expert_steps(run)
+    parts: list[Part | None] = [
+        _seed_table(run, evaluations, inspections, episodes, problem),
+        _video(run, policies, ends) if video else None,
+        draw_run(run, colors),
+    ]
+    if ranked:
+        best = ranked[0]
+        parts.append(weight_maps(f"policy of {seed_name(best)}", policies[best], expert))
+    if expert is not None and states:
+        clouds = {seed_name(seed): states[seed] for seed in ends}
+        parts.append(projection(expert, clouds, {name: colors[name] for name in clouds}))
+    changed = run.changed_settings()
+    versions = dict(config["versions"])
+    if config["demonstrations_sha256"] is not None:
+        versions["demonstrations, SHA-256"] = config["demonstrations_sha256"]
+    return Page(
+        kind="run",
+        title=f"{run.title} on {config['env_id']}",
+        subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
+        tiles=_tiles(run, evaluations, inspections),
+        parts=[part for part in parts if part is not None],
+        note="",
+        commands=[run.command or "Called from Python with objects that no command can name."],
+        settings=[
+            (name, str(value), name in changed) for name, value in config["settings"].items()
+        ],
+        versions=[(name, str(version)) for name, version in versions.items()],
+    )
+
+
+def _evaluate(
+    run: SavedRun, policies: Mapping[int, SavedPolicy], episodes: int
+) -> tuple[dict[int, Evaluation], dict[int, np.ndarray], str]:
+    """Return an evaluation and some states of each seed, or none and why, as of a task gone."""
+    env_id = run.config["env_id"]
+    physics = "gymnasium" if env_id in TASKS or is_gymnasium(env_id) else "auto"
+    evaluations, states = {}, {}
+    try:
+        length = saved_horizon(run.config, run.directory)
+        for seed, policy in policies.items():
+            simulated = evaluation_episodes(policy, episodes, physics, episode_length=length)
+            evaluations[seed], states[seed] = Evaluation.of(simulated), some_states(simulated)
+    except UserError as error:
+        return {}, {}, f"Not measured: {error}."
+    return evaluations, states, ""
+
+
+def _inspect(run: SavedRun) -> dict[int, SeedInspection]:
+    """Judge each seed by its distance to the expert, if the run has measured it."""
+    try:
+        return {each.seed: each for each in inspect_saved(run)}
+    except UserError:
+        return {}
+
+
+def _rank(
+    seed: int, evaluations: Mapping[int, Evaluation], inspections: Mapping[int, SeedInspection]
+) -> float:
+    """Return a number that is small for a good seed, by the return or else by the distance."""
+    if seed in evaluations:
+        value = -evaluations[seed].mean
+    else:
+        value = inspections[seed].distance if seed in inspections else math.inf
+    return math.inf if math.isnan(value) else value
+
+
+def _shared_expert(run: SavedRun) -> float | None:
+    """Return the expert's return, if a share of it means something."""
+    expert = run.comparable_expert_return
+    return expert if expert is not None and expert > 0 else None
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _tiles(
+    run: SavedRun,
+    evaluations: Mapping[int, Evaluation],
+    inspections: Mapping[int, SeedInspection],
+) -> list[Tile]:
+    returns = np.array([evaluation.mean for evaluation in evaluations.values()])
+    expert = _shared_expert(run)
+    verdicts = collections.Counter(each.verdict for each in inspections.values())
+    judged = "; ".join(
+        verdict if len(verdicts) == 1 else f"{number} of {verdicts.total()} seeds {verdict}"
+        for verdict, number in verdicts.items()
+    )
+    over = f"mean of {len(returns)} seeds" if len(returns) > 1 else "one seed"
+    tiles = []
+    if len(returns) and expert and np.isfinite(returns).all():
+        answer = f"{_percent(returns.mean() / expert)} of the expert"
+        if len(returns) > 1:
+            least, most = (_percent(end / expert) for end in (returns.min(), returns.max()))
+            over += f", from {least} to {most}"
+        tiles.append(Tile("return", plus_minus(returns), "of the kept policies"))
+    elif len(returns):
+        answer = f"return {plus_minus(returns)}"
+    else:
+        answer, judged, over = judged or "not measured", "", ""
+    notes = [f"{judged}, by the energy distance" if judged else "", over]
+    tiles.insert(0, Tile("kept policy", answer, " · ".join(filter(None, notes))))
+    if run.expert_return is not None:
+        mine, length = run.config["settings"].get("episode_length"), run.demonstrated_length
+        note = "" if length in (None, mine) else f", in episodes of {length} steps, not {mine}"
+        tiles.append(
+            Tile("expert", f"{run.expert_return:.0f}", f"return of the demonstrations{note}")
+        )
+    steps, iterations = (run.metrics[name].max() for name in ("env_steps", "iteration"))
+    planned = run.config["settings"].get("num_iterations", "–")
+    tiles.append(Tile("environment steps", millions(steps), "live steps of each seed, at most"))
+    tiles.append(Tile("iterations", f"{iterations + 1:.0f}", f"of {planned}"))
+    return tiles
+
+
+def _seed_table(
+    run: SavedRun,
+    evaluations: Mapping[int, Evaluation],
+    inspections: Mapping[int, SeedInspection],
+    episodes: int,
+    problem: str,
+) -> Table:
+    expert = _shared_expert(run)
+    measured = {name: title for name, title in MEASURES.items() if name in run.metrics}
+    header = ["seed", "return", "of the expert", "verdict", "steps", "length", "kept at iteration"]
+    rows = []
+    for seed, mine in by_seed(run.metrics).items():
+        kept, evaluation = run.kept_iterations.get(seed), evaluations.get(seed)
+        at = np.flatnonzero(mine["iteration"] == kept)
+        rows.append(
+            [
+                str(seed),
+                str(evaluation or "–"),
+                _percent(evaluation.mean / expert) if evaluation and expert else "–",
+                inspections[seed].verdict if seed in inspections else "–",
+                millions(mine["env_steps"].max()),
+                f"{evaluation.lengths.mean():.0f}" if evaluation else "–",
+                "–" if kept is None else str(kept),
+                *(f"{mine[name][at[0]]:.3f}" if len(at) else "–" for name in measured),
+            ]
+        )
+    where = " in Gymnasium's own environment" if run.config["env_id"] in TASKS else ""
+    notes = [
+        "The return and the length are those of the kept policy: mean ± standard deviation over "
+        f"{episodes} episodes{where}. Steps are live environment steps of training. {problem}",
+        *(f"Seed {each.seed}: {why}." for each in inspections.values() for why in each.reasons),
+    ]
+    return Table("Seeds", [*header, *measured.values()], rows, "\n\n".join(notes))
+
+
+def _video(run: SavedRun, policies: Mapping[int, SavedPolicy], ends: Mapping[int, str]) -> Media:
+    title = "What it does"
+    if not policies:
+        return Media(title, None, "No policy is saved yet.")
+    shown = {
+        f"{end}: {seed_name(seed)}" if len(ends) > 1 else seed_name(seed): policies[seed]
+        for seed, end in ends.items()
+    }
+    expert = shipped_expert(run.config["env_id"], run.source)
+    which = "The policies of the best and the worst seed" if len(ends) > 1 else "The policy"
+    return play(title, shown, expert, f"{which}, in real time", run)

@@ -1,0 +1,79 @@
+"""The weights of a linear policy, beside those of a clone of the expert."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from ailsrs_jax.components.linear_regression import affine_regression
+from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy
+from ailsrs_jax.envs.registry import open_env, require_harmless
+from ailsrs_jax.envs.tasks.entry_names import action_names, observation_names
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.errors import UserError
+from ailsrs_jax.show.reports.states import ExpertSteps
+
+MOST_ENTRIES = 32  # of an observation that are shown
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightMaps:
+    """Tables of weights whose cells are coloured."""
+
+    title: str
+    maps: Mapping[str, Sequence[tuple[str, list[float]]]]  # by title: an entry and its weights
+    actions: Sequence[str]
+    largest: float  # has the full colour
+    caption: str
+
+
+def weight_maps(name: str, policy: SavedPolicy, expert: ExpertSteps | None) -> WeightMaps | None:
+    """Show the weights of ``policy`` and, if ``expert`` is known, of its clone.
+
+    Returns None for a policy that is not linear.
+    """
+    if not isinstance(policy, SavedLinearPolicy):
+        return None
+    scale = policy.std if expert is None else expert.std
+    weights = {name: policy.weights * (scale / policy.std)}
+    if expert is not None:
+        observations, actions = map(jnp.asarray, (expert.observations, expert.actions))
+        clone = affine_regression(observations, actions, jnp.ones(len(observations), bool))
+        weights["clone of the expert"] = np.asarray(clone)[:, :-1]
+    entries, names = _names(policy)
+    largest = np.max([np.abs(each).max(axis=0) for each in weights.values()], axis=0)
+    shown = np.sort(np.argsort(-largest)[:MOST_ENTRIES])
+    left_out = len(entries) - len(shown)
+    return WeightMaps(
+        "Policy",
+        {
+            title: [(entries[at], each[:, at].tolist()) for at in shown]
+            for title, each in weights.items()
+        },
+        names,
+        float(largest.max()) or 1.0,
+        "A number is what one standard deviation of an entry of the observation adds to an action."
+        + (" The clone is a linear regression on the demonstrations." if expert else "")
+        + (f" The {left_out} entries with the smallest weights are left out." if left_out else ""),
+    )
+
+
+def _names(policy: SavedLinearPolicy) -> tuple[list[str], list[str]]:
+    """Return the names of the observation's entries and of the actions, else their numbers."""
+    actions, entries = (
+        [f"{kind} {index}" for index in range(size)]
+        for kind, size in zip(("action", "entry"), policy.weights.shape)
+    )
+    try:
+        require_harmless(policy.env_id, "the policy")
+        task = getattr(open_env(policy.env_id).env, "unwrapped", None)
+    except UserError:  # a task that is gone has no names
+        task = None
+    if isinstance(task, MujocoTask):
+        named = observation_names(task), action_names(task)
+        entries, actions = (
+            names if len(names) == len(numbers) else numbers
+            for names, numbers in zip(named, (entries, actions))
+        )
+    return entries, actions

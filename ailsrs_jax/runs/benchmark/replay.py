@@ -87,9 +87,16 @@ def _controls(env: MujocoTask, actions: np.ndarray) -> np.ndarray:
 
 
 def compiled(
-    function: Callable[..., Any], *arguments: Any, options: dict[str, str | bool] | None = None
+    function: Callable[..., Any],
+    *arguments: Any,
+    place: jax.sharding.Sharding | None = None,
+    options: dict[str, str | bool] | None = None,
 ) -> tuple[Callable[..., Any], float]:
-    """Compile ``function`` for ``arguments``; return the program and the seconds it took."""
+    """Compile ``function`` for ``arguments``; return the program and the seconds it took.
+
+    Its results lie at ``place``, and XLA has the ``options``, as in training.
+    """
     started = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile(compiler_options=options)
+    jitted = jax.jit(function, out_shardings=place)
+    program = jitted.lower(*arguments).compile(compiler_options=options)
     return program, time.perf_counter() - started

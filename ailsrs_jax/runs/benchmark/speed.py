@@ -120,9 +120,9 @@ def measure(
     )
     simulator = _shared_evenly(choose_simulator(env), settings.num_perturbed)
     trainer = make_ailsrs(simulator, _demonstrations(env, env_id, engine), settings)
-    state = jax.jit(trainer.init)(jax.random.key(0))
-    options = compiler_options(env)  # as in training
-    update, update_compile_s = compiled(trainer.update, state, options=options)
+    place, options = simulator.everywhere, compiler_options(env)
+    state = jax.jit(trainer.init, out_shardings=place)(jax.random.key(0))
+    update, update_compile_s = compiled(trainer.update, state, place=place, options=options)
     state, _ = update(state)
     key = jax.random.key(1)
     starts = trainer.starts(key)

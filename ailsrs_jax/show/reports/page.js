@@ -23,7 +23,10 @@ function answerMouse(panel) {
     path, name: path.closest("[data-name]").dataset.name, points: pointsOf(path),
   }));
   const cursor = svg.appendChild(document.createElementNS(SVG, "g"));
-  const number = (value) => value.toLocaleString("en", { maximumSignificantDigits: 4 });
+  const number = (value, range) => {
+    const digits = 3 - Math.floor(Math.log10(range)); // a thousandth of the axis or less
+    return value.toLocaleString("en", { maximumFractionDigits: Math.max(0, Math.min(20, digits)) });
+  };
 
   function show(event) {
     const box = svg.getBoundingClientRect(), scale = svg.viewBox.baseVal.width / box.width;
@@ -38,11 +41,11 @@ function answerMouse(panel) {
       .slice(0, MOST);
     if (!found.length) return;
     const value = x0 + ((found[0].at[0] - left) / (right - left)) * (x1 - x0);
-    addRow(`${tip.dataset.x} ${number(value)}`);
+    addRow(`${tip.dataset.x} ${number(value, x1 - x0)}`);
     for (const { path, name, at } of found.sort((a, b) => a.at[1] - b.at[1])) {
       const value = y0 + ((bottom - at[1]) / (bottom - top)) * (y1 - y0);
       const note = path.getAttribute("aria-label");
-      addRow(`${name}${note ? `, ${note}` : ""}: ${number(value)}`, path.closest("g").style.cssText);
+      addRow(`${name}${note ? `, ${note}` : ""}: ${number(value, y1 - y0)}`, path.closest("g").style.cssText);
       const dot = cursor.appendChild(document.createElementNS(SVG, "circle"));
       dot.style.cssText = path.closest("g").style.cssText;
       for (const [key, part] of [["cx", at[0]], ["cy", at[1]], ["r", 4]]) dot.setAttribute(key, part);

@@ -126,7 +126,7 @@ def _path(x: np.ndarray, y: np.ndarray, *, apart: bool = False) -> str:
     begins = there & ~np.concatenate([[False], there[:-1]])
     points = zip(x, y, there, begins)
     return "".join(
-        f"{'M' if apart or begin else 'L'}{px:.2f},{py:.3f}{'h0' * apart}"
+        f"{'M' if apart or begin else 'L'}{px:.2f},{py:.2f}{'h0' * apart}"
         for px, py, is_there, begin in points
         if is_there
     )

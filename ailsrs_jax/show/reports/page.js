@@ -23,10 +23,10 @@ function answerMouse(panel) {
     path, name: path.closest("[data-name]").dataset.name, points: pointsOf(path),
   }));
   const cursor = svg.appendChild(document.createElementNS(SVG, "g"));
-  // Places on the page are rounded; a thousandth of the axis is all that they tell.
-  const number = (value, range) => value.toLocaleString("en", {
-    maximumFractionDigits: Math.max(0, 3 - Math.floor(Math.log10(range))),
-  });
+  const number = (value, range) => {
+    const digits = 3 - Math.floor(Math.log10(range)); // a thousandth of the axis or less
+    return value.toLocaleString("en", { maximumFractionDigits: Math.max(0, Math.min(20, digits)) });
+  };
 
   function show(event) {
     const box = svg.getBoundingClientRect(), scale = svg.viewBox.baseVal.width / box.width;

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components import normalizer
@@ -45,7 +46,8 @@ def expert_steps(run: SavedRun) -> ExpertSteps | None:
     if content_hash(given) != config["demonstrations_sha256"] or given.actions is None:
         return None
     alive, observations = np.asarray(given.alive), np.asarray(given.observations)
-    statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
+    none_yet = normalizer.init(observations.shape[-1])
+    statistics = normalizer.update(none_yet, jnp.asarray(observations), jnp.asarray(alive))
     mean, std = np.asarray(statistics.mean), np.asarray(statistics.std)
     standardized = (observations[alive] - mean) / std
     return ExpertSteps(standardized, np.asarray(given.actions)[alive], mean, std)
@@ -71,13 +73,14 @@ def projection(
     shares = spreads**2 / max(float(np.sum(spreads**2)), 1e-12)
     clouds = {EXPERT: _some(expert.observations, np.arange(len(expert.observations)))}
     clouds |= {name: (each - expert.mean) / expert.std for name, each in states.items()}
-    lines = [Line(name, *(cloud @ axes[:2].T).T, "cloud") for name, cloud in clouds.items()]
-    labels = (
-        f"component {index + 1}, {100 * shares[index]:.0f} % of the variance" for index in (0, 1)
-    )
+    lines = []
+    for name, cloud in clouds.items():
+        x, y = axes[:2] @ cloud.T
+        lines.append(Line(name, x, y, "cloud"))
+    first, second = (f"{100 * share:.0f} % of the variance" for share in shares[:2])
     return Chart(
         "States",
-        [Panel("", *labels, lines)],
+        [Panel("", f"component 1, {first}", f"component 2, {second}", lines)],
         {EXPERT: "var(--ink)"} | dict(colors),
         f"Each dot is a state, {NUM_STATES} of each. The axes are the two directions in which the "
         "expert's states vary most. A policy is like the expert where its dots cover the expert's.",

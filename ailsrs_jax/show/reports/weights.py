@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.linear_regression import affine_regression
@@ -37,10 +38,10 @@ def weight_maps(name: str, policy: SavedPolicy, expert: ExpertSteps | None) -> W
     scale = policy.std if expert is None else expert.std
     weights = {name: policy.weights * (scale / policy.std)}
     if expert is not None:
-        everywhere = np.ones(len(expert.observations), bool)
-        clone = affine_regression(expert.observations, expert.actions, everywhere)
+        observations, actions = jnp.asarray(expert.observations), jnp.asarray(expert.actions)
+        clone = affine_regression(observations, actions, jnp.ones(len(observations), bool))
         weights["clone of the expert"] = np.asarray(clone)[:, :-1]
-    entries, actions = _names(policy)
+    entries, named_actions = _names(policy)
     largest = np.max([np.abs(each).max(axis=0) for each in weights.values()], axis=0)
     shown = np.sort(np.argsort(-largest)[:MOST_ENTRIES])
     left_out = len(entries) - len(shown)
@@ -50,7 +51,7 @@ def weight_maps(name: str, policy: SavedPolicy, expert: ExpertSteps | None) -> W
             title: [(entries[at], each[:, at].tolist()) for at in shown]
             for title, each in weights.items()
         },
-        actions,
+        named_actions,
         float(largest.max()) or 1.0,
         "A number is what one standard deviation of an entry of the observation adds to an action."
         + (" The clone is a linear regression on the demonstrations." if expert else "")

@@ -13,7 +13,6 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
-from ailsrs_jax.cli.progress import sparkline
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, percentage
 from ailsrs_jax.errors import UserError
 
@@ -98,6 +97,7 @@ def compare(
     Args:
         directories: The directories of runs, finished or not.
     """
+    from ailsrs_jax.cli.progress import sparkline
     from ailsrs_jax.runs.inspection.comparison import compare_runs
 
     found = compare_runs(directories)

@@ -28,6 +28,8 @@ class SavedPolicy(ABC):
     action_low: np.ndarray  # (p,)
     action_high: np.ndarray  # (p,)
     env_id: str
+    #: steps of an episode in the run that trained it; None if unknown, because no file holds it
+    episode_length: int | None = None
 
     def __call__(
         self, observation: npt.ArrayLike, rng: np.random.Generator | None = None
@@ -143,7 +145,8 @@ class SavedPolicy(ABC):
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """The fields of the file except ``env_id``."""
-        return {name: array for name, array in vars(self).items() if name != "env_id"}
+        others = "env_id", "episode_length"
+        return {name: array for name, array in vars(self).items() if name not in others}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -195,7 +198,8 @@ def load_policy(path: str | Path) -> SavedPolicy:
     Raises:
         UserError: the file is missing, has another format, or its contents contradict one another.
     """
-    arrays, env_id = read_policy(Path(path))
+    found, env_id = read_policy(Path(path))
+    arrays: dict[str, Any] = dict(found)
     if "weights" in arrays:
         return SavedLinearPolicy(**arrays, env_id=env_id)
     layers = range(sum(name.startswith("weights_") for name in arrays))

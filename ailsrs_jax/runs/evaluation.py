@@ -1,6 +1,7 @@
 """The return of a policy, on any engine or in Gymnasium itself."""
 
 import dataclasses
+import logging
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,8 @@ from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Starts, simulate
+
+logger = logging.getLogger(__name__)
 
 EVALUATION_STREAM = 2**31 - 1  # no demonstration has an episode of this number
 
@@ -77,6 +80,10 @@ def evaluate(
     stochastic: bool = False,
 ) -> Evaluation:
     """Measure the return of ``policy``.
+
+    Returns compare only over episodes of the same time limit. If ``policy`` comes from
+    :func:`~ailsrs_jax.runs.run.train` and was trained for episodes of another length, a line says
+    so. A policy out of a file does not know what it was trained for.
 
     >>> import ailsrs_jax as ail
     >>> evaluation = ail.evaluate(ail.load_expert("swimmer"), num_episodes=2)
@@ -133,6 +140,12 @@ def evaluation_episodes(
         require_harmless(policy.env_id, "the policy")
     task = _open(policy.env_id if env is None else env, physics)
     length = episode_length or env_horizon(task)
+    if policy.episode_length not in (None, length):
+        logger.warning(
+            "evaluating over %d steps a policy that was trained over %d: the returns of the two do "
+            "not compare; set episode_length=%d",
+            *(length, policy.episode_length, policy.episode_length),
+        )
     noise_std = policy.noise_std if stochastic else None
     # These initial states differ from those of demonstrations with the same seed.
     key = jax.random.fold_in(jax.random.key(seed), EVALUATION_STREAM)

@@ -20,7 +20,7 @@ def jax_policy(saved: SavedPolicy) -> Policy:
     (5, 3)
     """
     fields = {field.name: getattr(saved, field.name) for field in dataclasses.fields(saved)}
-    del fields["env_id"]
+    del fields["env_id"], fields["episode_length"]
     policy = (LinearPolicy if isinstance(saved, SavedLinearPolicy) else MlpPolicy)(**fields)
     in_float32: Policy = jax.tree.map(jnp.float32, policy)
     return in_float32

@@ -1,12 +1,15 @@
 """The number of steps of an episode is the same wherever a run is measured or shown."""
 
 import json
+import logging
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
+from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.runs.horizon import LONGEST
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
@@ -41,6 +44,28 @@ def test_the_command_makes_the_same_run_again(in_tmp_path: Path) -> None:
     assert "episode_length" not in str(short.spec.command)
     spec = RunSpec("swimmer", "short.npz", physics="mujoco", settings={"episode_length": 1000})
     assert "--set episode_length=1000" in str(plan(spec).spec.command)
+
+
+def test_an_evaluation_over_another_number_of_steps_is_named(
+    in_tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    short = {"num_iterations": 1, "gradient_steps": 1, "num_evaluation_episodes": 1}
+    run = ail.train("swimmer", swimmer_demonstrations(30), algorithm="bc", seeds=[4, 5], **short)
+    policy = run.policies[5]
+    with caplog.at_level(logging.WARNING):
+        ail.evaluate(policy, 1, "mujoco", episode_length=30)
+        assert not caplog.messages
+        ail.evaluate(policy, 1, "mujoco", episode_length=40)
+    (line,) = caplog.messages
+    assert "over 40 steps" in line
+    assert "trained over 30" in line
+    caplog.clear()
+    policy.save("policy.npz")
+    loaded = load_policy("policy.npz")  # a file does not say
+    assert loaded.episode_length is None
+    np.testing.assert_array_equal(loaded(np.ones(8)), policy(np.ones(8)))
+    ail.evaluate(loaded, 1, "mujoco", episode_length=40)
+    assert not caplog.messages
 
 
 @pytest.mark.usefixtures("few_episodes")

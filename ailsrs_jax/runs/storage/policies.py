@@ -1,5 +1,6 @@
 """Policies of a training state, as they are saved."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -48,7 +49,9 @@ def evaluated_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
 
 def _by_seed(policies: Policy, config: RunConfig) -> dict[int, SavedPolicy]:
     policies = jax.tree.map(np.asarray, policies)
-    return {
-        seed: saved_policy(jax.tree.map(lambda x, i=index: x[i], policies), config.env_id)
-        for index, seed in enumerate(config.seeds)
-    }
+
+    def of_lane(index: int) -> SavedPolicy:
+        policy = saved_policy(jax.tree.map(lambda x: x[index], policies), config.env_id)
+        return dataclasses.replace(policy, episode_length=config.settings.episode_length)
+
+    return {seed: of_lane(index) for index, seed in enumerate(config.seeds)}

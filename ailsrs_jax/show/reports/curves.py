@@ -70,7 +70,8 @@ def draw_series(
             returns = np.array([curve.returns[: len(mean.returns)] for curve in curves])
             band = np.fmin.reduce(returns), np.fmax.reduce(returns)
             steps = mean.env_steps / 1e6
-            lines.append(Line(name, steps, mean.returns, band=band, note=seeds(len(curves))))
+            look = "line" if len(steps) > 1 else "marks"  # of a single iteration
+            lines.append(Line(name, steps, mean.returns, look, band, seeds(len(curves))))
         compared = [group for group, _ in chosen[task].values() if group.has_comparable_curves]
         panels.append(Panel(task, STEPS, "return", lines, _levels(compared)))
     caption = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
@@ -136,7 +137,8 @@ def _levels(groups: Sequence[Group]) -> dict[str, float]:
     levels: dict[str, list[np.ndarray]] = {}
     for group in groups:
         source = group.cells[0].demonstrations
-        levels.setdefault(f"expert {source}".strip(), []).append(group.values("expert_return"))
+        name = f"expert ({source})" if source else "expert"
+        levels.setdefault(name, []).append(group.values("expert_return"))
         levels.setdefault("random", []).append(group.values("random_return"))
     return {name: float(np.concatenate(returns).mean()) for name, returns in levels.items()}
 

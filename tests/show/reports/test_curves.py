@@ -29,6 +29,14 @@ def test_all_seeds_are_in_the_mean_and_in_the_area(tmp_path: Path) -> None:
     assert panel.levels == {"expert": 3240.0, "random": 18.0}
 
 
+def test_a_single_iteration_is_a_mark(tmp_path: Path) -> None:
+    results = read_results(write_sweep(tmp_path, [row(0.9, iterations=1)]))
+    groups = group_cells(results.cells)
+    chart = draw_series(groups, results, colors_of(group.series for group in groups))
+    assert chart is not None
+    assert [line.look for line in chart.panels[0].lines] == ["marks"]
+
+
 def test_curves_are_those_with_the_most_demonstrations(tmp_path: Path) -> None:
     rows = [row(number / 40, num_trajectories=number, seed=1) for number in (40, 10)]
     results = read_results(write_sweep(tmp_path, rows))

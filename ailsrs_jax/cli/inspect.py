@@ -112,10 +112,11 @@ def compare(
     table.add_column(f"to {found.max_steps / 1e6:.2f} M steps", no_wrap=True)
     courses = [value for run in found.runs for value in run.course]
     highest = max(courses + [run.expert_return or 0.0 for run in found.runs])
-    shared = os.path.commonpath([Path(run.directory).parent for run in found.runs])
-    for run in found.runs:
+    paths = [Path(run.directory).resolve() for run in found.runs]
+    shared = os.path.commonpath([path.parent for path in paths])
+    for run, path in zip(found.runs, paths, strict=True):
         table.add_row(
-            escape(os.path.relpath(run.directory, shared)),
+            escape(str(path.relative_to(shared))),
             run.algorithm + (f", {run.num_seeds} seeds" if run.num_seeds > 1 else ""),
             percentage(run.return_mean, run.expert_return) or f"{run.return_mean:.0f}",
             "" if run.distance is None else f"{run.distance:.2f}",

@@ -22,7 +22,7 @@ class RunSummary:
     algorithm: str  #: its title
     num_seeds: int
     return_mean: float  #: of the kept policies, each by the evaluation that it was kept for
-    expert_return: float | None
+    expert_return: float | None  #: if its episodes were as long as those of the run
     distance: float | None  #: mean of the kept policies' energy distances to the expert
     steps_to_90: float | None  #: median of each seed's environment steps; infinite if most lack it
     seconds_to_90: float | None  #: the median with compilation; several seeds share the time
@@ -42,9 +42,11 @@ def compare_runs(directories: Sequence[Path]) -> Comparison:
     """Compare runs of one task by their records.
 
     Raises:
-        UserError: a directory holds no run that has kept a policy, or the runs are of several
-            tasks.
+        UserError: there is no directory, one holds no run that has kept a policy, or the runs are
+            of several tasks.
     """
+    if not directories:
+        raise UserError("name the directories of the runs to compare")
     saved = [read_run(directory) for directory in directories]
     tasks = {run.config["env_id"] for run in saved}
     if len(tasks) > 1:
@@ -55,7 +57,7 @@ def compare_runs(directories: Sequence[Path]) -> Comparison:
 
 
 def _summary(run: SavedRun, times: np.ndarray) -> RunSummary:
-    metrics, expert = run.metrics, run.expert_return
+    metrics, expert = run.metrics, run.comparable_expert_return
     table = read_metrics(run.directory / "seconds.csv")
     clock = np.cumsum(table["seconds"] + table["compile_seconds"])
     returns, distances, reached, courses = [], [], [], []

@@ -151,7 +151,8 @@ def _tiles(
     tiles.insert(0, Tile("kept policy", answer, " · ".join(filter(None, notes))))
     if run.expert_return is not None:
         mine, length = run.config["settings"].get("episode_length"), run.demonstrated_length
-        note = "" if length in (None, mine) else f", in episodes of {length} steps, not {mine}"
+        comparable = run.comparable_expert_return is not None
+        note = "" if comparable else f", in episodes of {length} steps, not {mine}"
         tiles.append(
             Tile("expert", f"{run.expert_return:.0f}", f"return of the demonstrations{note}")
         )

@@ -62,9 +62,22 @@ def test_the_cost_is_the_median_over_seeds(recorded: Path, tmp_path: Path) -> No
         compare_runs([tmp_path])
 
 
+def test_an_expert_of_other_episodes_is_not_compared(recorded: Path, tmp_path: Path) -> None:
+    for path in recorded.glob("*.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    result = json.loads((tmp_path / "result.json").read_text())
+    result["expert_return"]["episode_length"] = 999
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    (summary,) = compare_runs([tmp_path]).runs
+    assert summary.expert_return is summary.steps_to_90 is summary.seconds_to_90 is None
+    with pytest.raises(UserError, match="name the directories"):
+        compare_runs([])
+
+
 def test_the_command(recorded: Path, monkeypatch: Any, capsys: Any) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr("sys.argv", ["ailsrs", "compare", str(recorded), str(recorded)])
+    monkeypatch.chdir(recorded.parent)
+    monkeypatch.setattr("sys.argv", ["ailsrs", "compare", recorded.name, str(recorded)])
     main()
     printed = capsys.readouterr().out
     assert printed.count("AILSRS, 2 seeds") == 2

@@ -7,7 +7,7 @@ from urllib.parse import quote
 import pytest
 
 from ailsrs_jax.show.episodes.viewer import viewer_html
-from tests.show.reports.test_report import BROWSER, open_in_browser
+from tests.show.browser import BROWSER, open_in_browser
 from tests.show.test_video import made_up
 
 # In place of what the page loads from the internet: a viewer that draws nothing.

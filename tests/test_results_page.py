@@ -1,23 +1,17 @@
 """The rules and verdicts of experiments/RESULTS.md, and claims that are not yet run."""
 
-import csv
 import dataclasses
 import json
-import re
 import subprocess
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.sweep_report import estimate, plus_minus
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.statistics import group_cells, interquartile_mean, scores
-from ailsrs_jax.trainers.parts import reference
 from tests.sweeps.synthetic_sweep import HARD_TASKS, TASKS, row, write_sweep
 
 pytest.importorskip("experiments.results", reason="the package is installed without them")
@@ -25,10 +19,7 @@ from experiments import results
 from experiments.claims import CLAIMS
 from experiments.evidence import (
     CHEETAH,
-    FEWEST,
-    HARD,
     HOPPER,
-    MOST,
     NUM_SEEDS,
     NUMBERS,
     PAPER_EXPERTS,
@@ -287,91 +278,3 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_page_follows_from_the_committed_results() -> None:
     assert results.page(results.read_all(results.RESULTS)) == results.PAGE.read_text()
-
-
-def test_the_readme_agrees_with_the_committed_results() -> None:
-    readme = README.read_text()
-    evidence = Evidence(results.read_all(results.RESULTS))
-    rows = {
-        "AILSRS": "AILSRS, ",
-        "BC": "behaviour cloning",
-        "GAIL": "GAIL, ",
-        "neural BC": "a neural clone",
-    }
-    for label, begins in rows.items():
-        (row,) = (line for line in readme.splitlines() if line.startswith(f"| {begins}"))
-        groups = [
-            evidence.group(label, task, FEWEST) for task in (CHEETAH, HOPPER, SWIMMER, WALKER)
-        ]
-        values = [plus_minus(group.values("normalized"), 2) for group in groups]
-        assert row.split(" | ")[1:] == [*values[:-1], f"{values[-1]} |"], label
-    for label in ("AILSRS", "GAIL"):
-        groups = [evidence.group(label, task, number) for task in TASKS for number in NUMBERS]
-        assert estimate(interquartile_mean(scores(groups))) in readme, label
-        hard = [evidence.group(label, task, sweep=HARD) for task in HARD_TASKS]
-        values = [plus_minus(group.values("normalized"), 2) for group in hard]
-        assert " and ".join(values) in readme, label
-    most = [evidence.group("AILSRS", task, MOST).values("normalized").mean() for task in TASKS]
-    assert f"From forty, AILSRS is at {min(most):.2f} or above on each task" in readme
-    (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
-    total, verdicts = claims
-    reproduced, partly, rest = re.findall(r"\d+", verdicts)
-    summary = f"Of {total}, {reproduced} are reproduced, {partly} partly, {rest} not."
-    assert summary in readme
-
-
-def test_the_readme_agrees_with_the_results_of_the_search() -> None:
-    cells = results.read_all(results.RESULTS)["search"].cells
-    table = [line for line in README.read_text().splitlines() if line.startswith("| ")]
-    by_task = {
-        task: [cell for cell in cells if cell.env_id == task and cell.done]
-        for task in (CHEETAH, HOPPER, SWIMMER, "Ant-v5")
-    }
-    for task, each in by_task.items():
-        first, number = 10 * (task == HOPPER), 8 if task == "Ant-v5" else 10
-        assert sorted(cell.seed for cell in each) == list(range(first, first + number)), task
-    returns = [np.array([cell.normalized for cell in each]) for each in by_task.values()]
-    for name, shown in (
-        ("mean", [plus_minus(values, 2) for values in returns]),
-        ("worst seed", [f"{values.min():.2f}" for values in returns]),
-    ):
-        assert f"| {name} | {' | '.join(shown)} |" in table, name
-    kept = {(cell.cell, f"{cell.kept_iteration:.0f}"): cell.normalized for cell in cells}
-    verdicts: dict[str, list[float]] = {}
-    with (results.RESULTS / "search" / "curves.csv").open() as file:
-        for line in csv.DictReader(file):
-            value = kept.get((line["cell"], line["iteration"]))
-            if value is not None:
-                judged = reference.verdict(float(line["expert_distance"]))
-                verdicts.setdefault(judged, []).append(value)
-    close, in_part = (verdicts[name] for name in ("close to the expert", "in part like the expert"))
-    assert len(close) + len(in_part) == sum(map(len, by_task.values()))
-    assert (
-        f"The {len(close)} policies that it calls *close to the expert* return {min(close):.2f} or "
-        f"more, the other one, *in part like the expert*, {max(in_part):.2f}."
-    ) in README.read_text()
-
-
-def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
-    """docs/algorithms.md says so; on Walker2d a return counts at most as much as the expert's."""
-    sweeps = results.read_all(results.RESULTS)
-    page = (README.parent / "docs" / "algorithms.md").read_text()
-
-    def values(name: str) -> dict[str, np.ndarray]:
-        return {
-            group.series: group.values("normalized") for group in group_cells(sweeps[name].cells)
-        }
-
-    hopper = values("held_back")
-    assert max(hopper, key=lambda label: hopper[label].mean()) == "N = 16, penalty 10"
-    chosen, before = (plus_minus(hopper[f"N = {n}, penalty 10"], 2) for n in (16, 32))
-    assert f"16 directions for 120 iterations kept {chosen} of the expert." in page
-    assert f"32 directions for 60 iterations, kept {before}." in page
-
-    walker = values("held_back_walker2d")
-    bounded = {label: np.minimum(returns, 1.0).mean() for label, returns in walker.items()}
-    assert max(bounded, key=bounded.__getitem__) == "N = 32, 20 discriminator steps"
-    labels = [f"N = 32, {steps} discriminator steps" for steps in (20, 3)]
-    chosen, before = (f"{bounded[label]:.2f}" for label in labels)
-    assert f"20 steps kept {chosen} and the former 3 steps kept {before}." in page
-    assert " and ".join(plus_minus(walker[label], 2) for label in labels) in page

@@ -32,8 +32,6 @@ from experiments.evidence import (
     judge,
 )
 
-README = results.PAGE.parent.parent / "README.md"
-
 Score = Callable[[str, str, int], tuple[float, float]]  # label, task, number: mean, spread
 
 

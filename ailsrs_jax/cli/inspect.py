@@ -73,7 +73,7 @@ def inspect(
     command = f"ailsrs train {shlex.quote(task or env_id)} --demonstrations {name}"
     if num_trajectories is not None:
         command += f" --num-trajectories {num_trajectories}"
-    if loaded.actions is None:
+    if "linear_clone_return" not in found.facts:
         command += " --set discriminator_sees=state behavior_cloning_start=false"
     terminal.json({"env_id": env_id, **found.facts, "problems": found.problems, "try": command})
     if not terminal.as_json:
@@ -169,6 +169,8 @@ def _table(found: "Inspection", env_id: str) -> Table:
     if "linear_clone_return" not in facts:
         row("actions", "none")
         return table
+    if facts["actions_inferred"]:
+        row("actions", "none; those that lead from each state to the next are inferred")
     row("actions at their limits", f"{100 * facts['clipped_actions']:.0f} %")
     plain = facts["r_squared_without_intercept"]
     row("R² of a linear policy", f"{facts['r_squared']:.2f}, {plain:.2f} without an intercept")

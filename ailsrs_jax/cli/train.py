@@ -49,6 +49,7 @@ def train(
     num_trajectories: Count = None,
     draw_from: Count = None,
     subsample: Every = 1,
+    states_only: Flag = False,
     seeds: Seeds = (),
     iterations: Count = None,
     preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
@@ -79,6 +80,8 @@ def train(
         num_trajectories: Use the first N episodes; by default 10 of the shipped expert, else all.
         draw_from: Draw these episodes at random from the first N, with the seed of the run.
         subsample: Train on every K-th step of each episode, from a random step on.
+        states_only: Do not use the actions of the demonstrations. Where there are none, they are
+            inferred with the simulator.
         seeds: Random seeds, from 0, trained together as one batched program, as in --seeds 0 1 2;
             by default 0.
         iterations: Number of iterations; by default the preset's.
@@ -127,6 +130,7 @@ def train(
         num_trajectories=num_trajectories,
         draw_from=draw_from,
         subsample=subsample,
+        states_only=states_only,
         seeds=[seed for group in seeds for seed in group] or [0],
         preset=preset,
         settings=parse(preset_settings(env, preset, algorithm), changes),

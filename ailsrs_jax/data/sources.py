@@ -35,6 +35,7 @@ class Source:
     kind: str  # one of KINDS
     name: str | None = None
     num_left_out: int = 0  # truncated episodes that were not read
+    states_only: bool = False  # their actions are not used
 
     @property
     def argument(self) -> str | None:
@@ -46,13 +47,16 @@ class Source:
     def __str__(self) -> str:
         """For people, after "10 demonstrations"."""
         if self.kind == "memory":
-            return "handed in from Python"
-        if self.kind == "expert":
-            shipped = "of the expert that ships with the package"
-            return shipped if self.name is None else f"{shipped} and has the paper's return"
-        episodes = "episode" if self.num_left_out == 1 else "episodes"
-        note = f" ({self.num_left_out} truncated {episodes} left out)" if self.num_left_out else ""
-        return f"{self.argument}{note}"
+            told = "handed in from Python"
+        elif self.kind == "expert":
+            told = "of the expert that ships with the package"
+            told += "" if self.name is None else " and has the paper's return"
+        else:
+            told = str(self.argument)
+        if self.num_left_out:
+            episodes = "episode" if self.num_left_out == 1 else "episodes"
+            told += f" ({self.num_left_out} truncated {episodes} left out)"
+        return f"{told}, states alone" if self.states_only else told
 
 
 def parse_source(fields: Any, where: str) -> Source | None:
@@ -64,12 +68,12 @@ def parse_source(fields: Any, where: str) -> Source | None:
     match fields:
         case None:
             return None
-        case {"kind": "expert" | "memory" as kind, "name": None, "num_left_out": 0, **rest}:
-            if not rest:
-                return Source(kind)
-        case {"kind": str(kind), "name": str(name), "num_left_out": int(count), **rest}:
-            if kind in KINDS and 0 <= count < 2**31 and not rest:
-                return Source(kind, name, count)
+        case {"kind": str(kind), "name": str() | None as name, "num_left_out": int(count), **rest}:
+            states_only = rest.pop("states_only", False)
+            named = name is not None or kind in ("expert", "memory")
+            valid = kind in KINDS and named and 0 <= count < 2**31 and not rest
+            if valid and isinstance(states_only, bool):
+                return Source(kind, name, count, states_only)
     raise UserError(f"{where}: source is {reprlib.repr(fields)}, not a source of demonstrations")
 
 

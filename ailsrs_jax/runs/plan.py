@@ -70,7 +70,7 @@ def plan(spec: RunSpec) -> Plan:
     elif _asks_for_demonstrations(spec):
         raise UserError(
             f"{spec.algorithm} learns from the environment's reward: leave out demonstrations, "
-            "num_trajectories, draw_from and subsample"
+            "num_trajectories, draw_from, subsample and states_only"
         )
     limit = data.time_limit or getattr(env, "time_limit", None) or preset.episode_length
     if "episode_length" not in spec.settings:
@@ -101,8 +101,8 @@ def plan(spec: RunSpec) -> Plan:
 
 
 def _asks_for_demonstrations(spec: RunSpec) -> bool:
-    asked = spec.demonstrations, spec.num_trajectories, spec.draw_from, spec.subsample
-    return asked != (None, None, None, 1)
+    names = "demonstrations", "num_trajectories", "draw_from", "subsample", "states_only"
+    return any(getattr(spec, name) != getattr(RunSpec, name) for name in names)
 
 
 def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:

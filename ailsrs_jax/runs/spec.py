@@ -30,6 +30,7 @@ class RunSpec:
         draw_from: draw the n episodes at random from this many first ones, with the only seed of
             the run; by default the first n are used.
         subsample: train only on every k-th step of an episode.
+        states_only: do not use the actions of the demonstrations.
         seeds: random seeds, trained together as one batched program.
         preset: ``tuned`` or ``paper``.
         settings: settings of the algorithm that replace those of the preset, such as
@@ -49,6 +50,7 @@ class RunSpec:
     num_trajectories: int | None = None
     draw_from: int | None = None
     subsample: int = 1
+    states_only: bool = False
     seeds: Sequence[int] = (0,)
     preset: str = "tuned"
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -68,7 +70,8 @@ class RunSpec:
             if field.name == "seeds":
                 words += ["--seeds", *map(str, value)]
             elif field.name not in ("env", "settings") and value != field.default:
-                words += [f"--{field.name.replace('_', '-')}", str(value)]
+                words.append(f"--{field.name.replace('_', '-')}")
+                words += [] if value is True else [str(value)]
         if self.settings:
             settings = sorted(self.settings.items())
             words += ["--set", *(f"{name}={as_text(value)}" for name, value in settings)]

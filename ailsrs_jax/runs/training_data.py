@@ -1,5 +1,6 @@
 """The demonstrations of a run: read, checked against the task, and hashed."""
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -8,9 +9,10 @@ import numpy as np
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.sources import PAPER_EXPERT, Source, content_hash, open_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import action_range, env_sizes
+from ailsrs_jax.envs.interface import action_range, env_sizes, starts_at_observations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.inverse_dynamics import infer_actions
 from ailsrs_jax.runs.spec import RunSpec
 
 NUM_TRAJECTORIES = 10  # of the shipped expert by default, the paper's smallest number
@@ -56,18 +58,32 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         drawn = order[: spec.num_trajectories]
         demonstrations = jax.tree.map(lambda x: np.asarray(x)[drawn], demonstrations)
     require_fit(demonstrations, env_id, env)
-    time_limit = demonstrations.time_limit
-    if spec.subsample != 1:
+    if spec.states_only:
+        demonstrations = demonstrations.replace(actions=None)
+        source = dataclasses.replace(source, states_only=True)
+
+    def thinned(demonstrations: Demonstrations) -> Demonstrations:
+        if spec.subsample == 1:
+            return demonstrations
         offsets_seed = 0 if spec.draw_from is None else spec.seeds[0]
-        demonstrations = demonstrations.subsample(spec.subsample, offsets_seed)
+        return demonstrations.subsample(spec.subsample, offsets_seed)
+
+    given = thinned(demonstrations)
     return TrainingData(
-        demonstrations,
+        thinned(_with_actions(demonstrations, env)),
         source,
-        content_hash(demonstrations),
-        demonstrations.num_trajectories,
+        content_hash(given),
+        given.num_trajectories,
         spec.subsample,
-        time_limit,
+        demonstrations.time_limit,
     )
+
+
+def _with_actions(demonstrations: Demonstrations, env: Env) -> Demonstrations:
+    """Infer the actions if they are not known and ``env`` can tell."""
+    if demonstrations.actions is not None or demonstrations.stride > 1:
+        return demonstrations
+    return infer_actions(demonstrations, env) if starts_at_observations(env) else demonstrations
 
 
 def _checked_draw(spec: RunSpec) -> int:

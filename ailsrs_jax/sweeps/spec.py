@@ -35,6 +35,7 @@ AXES: dict[str, type] = {
     "num_trajectories": int,
     "draw_from": int,
     "subsample": int,
+    "states_only": bool,
     "seeds": int,
 }
 KEYS = (*AXES, "settings", "label")
@@ -193,7 +194,7 @@ def _name(spec: RunSpec) -> str:
         parts.append(spec.preset)
     others = {
         key: getattr(spec, key)
-        for key in ("physics", "demonstrations", "draw_from", "subsample")
+        for key in ("physics", "demonstrations", "draw_from", "subsample", "states_only")
         if getattr(spec, key) != getattr(default, key)
     }
     parts += [f"{name}={as_text(value)}" for name, value in {**others, **spec.settings}.items()]
@@ -223,7 +224,7 @@ def _values(where: str, key: str, value: Any) -> list[Any]:
         if kind is None and not isinstance(each, bool | int | float | str):
             raise UserError(f"{where}: {key} is {each!r}: it must be a number, true, false or text")
         if kind is not None and type(each) is not kind:
-            expected = "text" if kind is str else "a whole number"
+            expected = {str: "text", bool: "true or false"}.get(kind, "a whole number")
             raise UserError(f"{where}: {key} is {each!r}: it must be {expected}")
     if len(set(map(str, values))) < len(values):
         raise UserError(f"{where}: {key} holds the same value twice: {value}")

@@ -36,8 +36,9 @@ def broken_file(kind: str) -> Path:
         arrays |= {"observations": np.zeros((0, 5, 11)), "actions": np.zeros((0, 5, 3))}
     elif kind == "out_of_range":
         arrays["actions"][1, 1, 1] = 1.1
-    elif kind == "states_alone":
+    elif kind == "thinned_states":
         del arrays["actions"]
+        arrays["stride"] = np.array(2)
     if kind == "text":
         path.write_text("observations, actions\n")
     elif kind == "empty":
@@ -53,7 +54,7 @@ def broken_file(kind: str) -> Path:
     "kind",
     [
         *["missing", "text", "empty", "truncated", "shapes", "nan", "pickled", "ragged"],
-        *["no_steps", "other_task", "other_sizes", "out_of_range", "states_alone"],
+        *["no_steps", "other_task", "other_sizes", "out_of_range", "thinned_states"],
     ],
 )
 def test_bad_demonstrations(kind: str, monkeypatch, capsys) -> None:

@@ -37,6 +37,12 @@ COMMANDS: dict[str, dict[str, Any]] = {
         "num_trajectories": 2,
         "subsample": 4,
     },
+    "ailsrs train swimmer --demonstrations 'my demos.npz' --num-trajectories 2 --states-only "
+    "--seeds 0 3 --physics mujoco": {
+        "demonstrations": Path("my demos.npz"),
+        "num_trajectories": 2,
+        "states_only": True,
+    },
 }
 
 

@@ -1,7 +1,6 @@
 """What demonstrations are, before anything is trained on them."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -9,16 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
-from ailsrs_jax.components.policy import LinearPolicy, Policy, repeated
+from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.host_calls import host_errors
+from ailsrs_jax.runs.inverse_dynamics import infer_actions, one_step
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.gail import make_gail
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference, unlike_the_others
-from ailsrs_jax.trainers.parts.rollout import as_simulator, simulate
+from ailsrs_jax.trainers.parts.rollout import as_simulator
 from ailsrs_jax.trainers.parts.settings import override
 
 NUM_PAIRS = 200  # steps that are simulated again
@@ -50,13 +50,16 @@ def inspect_demonstrations(demonstrations: Demonstrations, env: Env) -> Inspecti
         "sets_states": starts_at_observations(env),
     }
     problems = [*_problems_of_episodes(demonstrations), *_problems_of_entries(demonstrations)]
-    if demonstrations.actions is not None:
-        facts["clipped_actions"] = _clipped_share(demonstrations, env)
-    if facts["sets_states"] and demonstrations.actions is not None and demonstrations.stride == 1:
+    every_step = facts["sets_states"] and demonstrations.stride == 1
+    facts["actions_inferred"] = every_step and demonstrations.actions is None
+    if facts["actions_inferred"]:
+        demonstrations = infer_actions(demonstrations, env)
+    if every_step:
         difference, problem = compare_steps(demonstrations, env)
         facts["difference_to_simulation"] = difference
         problems += [problem] if problem else []
     if demonstrations.actions is not None:
+        facts["clipped_actions"] = _clipped_share(demonstrations, env)
         facts |= _linearity(demonstrations) | _clones(demonstrations, env)
     return Inspection(facts, tuple(problems))
 
@@ -69,9 +72,13 @@ def compare_steps(demonstrations: Demonstrations, env: Env) -> tuple[float, str 
         the step changes; and what it says about the demonstrations, if it is too large.
     """
     observations, actions, following = _pairs(demonstrations)
-    step = _simulated_step(env)
+    stepped = jax.jit(one_step(env))
     scale = np.median(np.abs(following - observations), axis=0)
     moving = scale > 1e-6
+
+    def step(observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        with host_errors():
+            return np.asarray(stepped(observations, actions))
 
     def difference(predicted: np.ndarray) -> float:
         errors = np.median(np.abs(predicted - following), axis=0)
@@ -117,28 +124,6 @@ def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.n
         np.asarray(x) for x in (demonstrations.observations, demonstrations.actions)
     )
     return observations[episode, time], actions[episode, time], observations[episode, time + 1]
-
-
-def _simulated_step(env: Env) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    still = _still(env)
-
-    @jax.jit
-    def run(observations: jax.Array, actions: jax.Array) -> jax.Array:
-        starts = jax.vmap(env.state_at)(observations)
-        policies = repeated(still, len(observations))
-        episodes = simulate(env, policies, starts, 1, noise=actions[:, None])
-        return episodes.final_observations
-
-    def step(observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        with host_errors():
-            return np.asarray(run(jnp.asarray(observations), jnp.asarray(actions)))
-
-    return step
-
-
-def _still(env: Env) -> LinearPolicy:
-    n, p = env.observation_size, env.action_size
-    return LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
 
 
 def _problems_of_episodes(demonstrations: Demonstrations) -> list[str]:

@@ -38,7 +38,10 @@ class Reference(struct.PyTreeNode):
     def require_actions(self, what_for: str) -> None:
         """Raise UserError, which names ``what_for``, unless the expert's actions are known."""
         if self.actions.shape[-1] == 0:
-            raise UserError(f"the demonstrations hold no actions, which {what_for} needs")
+            raise UserError(
+                f"the demonstrations hold no actions, which {what_for} needs, and they are "
+                "inferred only from every step in a simulator that can be put into a state"
+            )
 
     @property
     def alive(self) -> jax.Array:

@@ -153,6 +153,7 @@ def train(
         learns_from = (
             f"{config.num_trajectories} demonstrations {config.source}, return {expert_return:.0f}"
         )
+        learns_from += "" if planned.infer is None else ", actions inferred first"
     named = " ".join(map(str, config.seeds))
     terminal.line(
         f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · "

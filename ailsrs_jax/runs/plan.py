@@ -1,6 +1,10 @@
 """The plan of a run: a specification that is checked and ready to start."""
 
 import dataclasses
+from collections.abc import Callable
+
+import jax
+import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.physics import ENGINES
@@ -29,6 +33,7 @@ class Plan:
     config: RunConfig
     simulator: Simulator
     demonstrations: Demonstrations | None
+    infer: Callable[[], Demonstrations] | None  # see TrainingData
     physics_reason: str  # why this engine, for people to read
     demonstrated_length: int | None  # the time limit of the demonstrations, in environment steps
 
@@ -39,8 +44,19 @@ class Plan:
 
     def make_trainer(self) -> Trainer:
         """Make the trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
+        return self._make_trainer(self.demonstrations if self.infer is None else self.infer())
+
+    def check(self) -> None:
+        """Raise UserError if :meth:`make_trainer` would; nothing is simulated."""
+        demonstrations = self.demonstrations
+        if demonstrations is not None and self.infer is not None:
+            shape = (*demonstrations.alive.shape, self.simulator.env.action_size)
+            demonstrations = demonstrations.replace(actions=np.zeros(shape, np.float32))
+        jax.eval_shape(lambda: (self._make_trainer(demonstrations), 0)[1])
+
+    def _make_trainer(self, demonstrations: Demonstrations | None) -> Trainer:
         config = self.config
-        return make_trainer(config.algorithm, self.simulator, self.demonstrations, config.settings)
+        return make_trainer(config.algorithm, self.simulator, demonstrations, config.settings)
 
 
 def plan(spec: RunSpec) -> Plan:
@@ -95,6 +111,7 @@ def plan(spec: RunSpec) -> Plan:
         config=config,
         simulator=simulator,
         demonstrations=data.demonstrations,
+        infer=data.infer,
         physics_reason=reason,
         demonstrated_length=data.time_limit,
     )

@@ -1,6 +1,7 @@
 """The demonstrations of a run: read, checked against the task, and hashed."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -22,6 +23,8 @@ class TrainingData(NamedTuple):
     """The demonstrations that a run is trained on; all None if it learns from the reward."""
 
     demonstrations: Demonstrations | None = None
+    #: simulates them, and returns them with actions; None if they have any, or it cannot be done
+    infer: Callable[[], Demonstrations] | None = None
     source: Source | None = None
     sha256: str | None = None  # of the arrays
     num_trajectories: int | None = None
@@ -68,22 +71,20 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         offsets_seed = 0 if spec.draw_from is None else spec.seeds[0]
         return demonstrations.subsample(spec.subsample, offsets_seed)
 
+    def infer() -> Demonstrations:
+        return thinned(infer_actions(demonstrations, env))
+
+    unknown = demonstrations.actions is None and demonstrations.stride == 1
     given = thinned(demonstrations)
     return TrainingData(
-        thinned(_with_actions(demonstrations, env)),
+        given,
+        infer if unknown and starts_at_observations(env) else None,
         source,
         content_hash(given),
         given.num_trajectories,
         spec.subsample,
         demonstrations.time_limit,
     )
-
-
-def _with_actions(demonstrations: Demonstrations, env: Env) -> Demonstrations:
-    """Infer the actions if they are not known and ``env`` can tell."""
-    if demonstrations.actions is not None or demonstrations.stride > 1:
-        return demonstrations
-    return infer_actions(demonstrations, env) if starts_at_observations(env) else demonstrations
 
 
 def _checked_draw(spec: RunSpec) -> int:

@@ -10,8 +10,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
@@ -157,7 +155,7 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
     for seed in asked.seeds:
         require_seed(seed)
     planned = plan(dataclasses.replace(asked, seeds=asked.seeds[:1]))
-    jax.eval_shape(lambda: (planned.make_trainer(), 0)[1])  # checks the rest at no cost
+    planned.check()
     config = planned.config
     spec = dataclasses.replace(
         asked,

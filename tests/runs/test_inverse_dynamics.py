@@ -66,8 +66,8 @@ def test_training_data_without_actions(env: Env, demonstrations: Demonstrations)
     assert str(data.source) == "handed in from Python, states alone"
     thinned = demonstrations.subsample(4)
     kept = thinned.alive & (thinned.lengths[:, None] > np.arange(10) + 1)
-    np.testing.assert_allclose(data.demonstrations.actions[kept], thinned.actions[kept], atol=5e-3)
+    np.testing.assert_allclose(data.infer().actions[kept], thinned.actions[kept], atol=5e-3)
     unknown = read_training_data(
         RunSpec("swimmer", alone.subsample(4)), env, "Swimmer-v5", "mujoco"
     )
-    assert unknown.demonstrations.actions is None
+    assert unknown.infer is None

@@ -148,8 +148,8 @@ def train(
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
     learns_from, expert_return = "the environment's reward", None
-    if planned.demonstrations is not None:
-        expert_return = float(np.mean(planned.demonstrations.returns))
+    if planned.expert_returns is not None:
+        expert_return = float(np.mean(planned.expert_returns))
         learns_from = (
             f"{config.num_trajectories} demonstrations {config.source}, return {expert_return:.0f}"
         )

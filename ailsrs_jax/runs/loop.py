@@ -45,7 +45,7 @@ class Result:
     policies: dict[int, SavedPolicy]  #: the kept policy of each seed
     kept_iterations: dict[int, int]  #: the iteration that each was found in
     scores: dict[int, float]  #: that each was kept for, such as minus its distance to the expert
-    expert_returns: np.ndarray | None  #: of the demonstrations, if there are any
+    expert_returns: np.ndarray | None  #: of the episodes that it could draw, if it imitates
     demonstrated_length: int | None = None  #: the time limit of these [environment steps]
 
 
@@ -56,8 +56,6 @@ class _Run:
         """Use one ``lane`` of a stack, or all lanes if ``lane`` is None."""
         self.problem: UserError | None = None  # most episodes of an iteration diverged
         self._plan, self._output, self._lane = plan, output, lane
-        recorded = plan.demonstrations
-        self._returns = None if recorded is None else np.asarray(recorded.returns)
         self._journal: Journal | None = None
 
     def claim(self, resume: bool | Literal["where begun"]) -> AbstractContextManager[None]:
@@ -106,7 +104,7 @@ class _Run:
             self._journal.save(
                 self._part(progress),
                 command=self._plan.spec.command,
-                expert_returns=self._returns,
+                expert_returns=self._plan.expert_returns,
                 demonstrated_length=self._plan.demonstrated_length,
                 finished=self.problem is None and self.is_finished(progress),
             )
@@ -125,7 +123,7 @@ class _Run:
             policies=kept_policies(part["state"], config),
             kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
             scores=dict(zip(config.seeds, scores, strict=True)),
-            expert_returns=self._returns,
+            expert_returns=self._plan.expert_returns,
             demonstrated_length=self._plan.demonstrated_length,
         )
 

@@ -36,6 +36,7 @@ class Plan:
     infer: Callable[[], Demonstrations] | None  # see TrainingData
     physics_reason: str  # why this engine, for people to read
     demonstrated_length: int | None  # the time limit of the demonstrations, in environment steps
+    expert_returns: np.ndarray | None  # of all episodes that the demonstrations were drawn from
 
     @property
     def algorithm(self) -> Algorithm:
@@ -114,6 +115,7 @@ def plan(spec: RunSpec) -> Plan:
         infer=data.infer,
         physics_reason=reason,
         demonstrated_length=data.time_limit,
+        expert_returns=data.expert_returns,
     )
 
 

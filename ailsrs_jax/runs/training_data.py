@@ -30,6 +30,7 @@ class TrainingData(NamedTuple):
     num_trajectories: int | None = None
     subsample: int | None = None
     time_limit: int | None = None  # of all demonstrations of the source, in environment steps
+    expert_returns: np.ndarray | None = None  # of all episodes that could have been drawn
 
 
 def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> TrainingData:
@@ -56,6 +57,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         demonstrations, source = open_source(asked, env_id, number)
     if number is not None:
         demonstrations = demonstrations.first(number)
+    expert_returns = np.asarray(demonstrations.returns)
     if spec.draw_from is not None:
         order = np.random.default_rng(spec.seeds[0]).permutation(spec.draw_from)
         drawn = order[: spec.num_trajectories]
@@ -84,6 +86,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         given.num_trajectories,
         spec.subsample,
         demonstrations.time_limit,
+        expert_returns,
     )
 
 

@@ -105,6 +105,8 @@ def test_a_seed_can_draw_its_own_episodes(
         fields = {"num_trajectories": 2, "draw_from": count, "seeds": [3]} | fields
         planned = plan(RunSpec(point_mass, point_mass_expert, **fields))
         assert planned.demonstrations is not None
+        # A seed that draws a bad episode is not better than the expert for it.
+        np.testing.assert_array_equal(planned.expert_returns, point_mass_expert.returns)
         return planned.demonstrations
 
     order = np.random.default_rng(3).permutation(count)[:2]

@@ -98,7 +98,7 @@ class Journal:
         Args:
             progress: ``state``, the training state, and ``steps``, the live steps of each seed.
             command: the command line that makes the run again, if there is one.
-            expert_returns: of the demonstrations, if the run has any.
+            expert_returns: of the episodes that the demonstrations were drawn from, if any.
             demonstrated_length: their time limit in environment steps.
             finished: no iteration is left.
 

@@ -83,7 +83,7 @@ def test_directory_holds_what_is_promised(finished: tuple[Path, Result]) -> None
     assert config["seeds"] == [0, 5]
     assert config["settings"]["num_directions"] == 4
     assert config["versions"]["jax"] == jax.__version__
-    assert config["source"] == {"kind": "memory", "name": None, "num_left_out": 0}
+    assert config["source"] == vars(Source("memory"))
 
     rows = read_rows(directory)
     assert [(row["iteration"], row["seed"]) for row in rows] == [

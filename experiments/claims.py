@@ -312,8 +312,9 @@ UNTESTED = {
     "Dividing by σ_R steadies ARS's updates": "cited from Mania et al.",
     "Labels 0 and 1 do better than b − a = 2": "the paper gives no figure, and D ends in a sigmoid",
     "Normalised observations give all components an equal influence": "the paper gives no figure",
-    "Five of twenty runs were averaged for Figure 3": "a choice that cannot be repeated: we "
-    "use all runs, in the order of their seeds",
+    "Five of twenty runs were averaged for Figure 3": "a choice that cannot be repeated, because "
+    "a comment in the paper's source says that outliers were removed before five runs were drawn; "
+    "we use all runs, in the order of their seeds",
     "GAIL sometimes does better than the expert": "cited from Ho and Ermon; the claim about "
     "HalfCheetah above is the same",
 }

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 def energy_distance(x: jax.Array, y: jax.Array, y_spread: jax.Array) -> jax.Array:
     """Estimate D(X, Y) = 2 E‖X − Y‖ − E‖X − X'‖ − E‖Y − Y'‖ from ``x (m, d)`` and ``y (k, d)``.
 
-    It is zero exactly if both have the same distribution. ``y_spread`` is ``mean_distance(y, y)``,
-    which is computed once if ``y`` stays the same.
+    D is zero exactly if both have the same distribution. The estimate includes the pairs of a row
+    with itself, so it is never negative, and too large by E‖X − X'‖ / m + E‖Y − Y'‖ / k.
+    ``y_spread`` is ``mean_distance(y, y)``, which is computed once if ``y`` stays the same.
     """
     return 2.0 * mean_distance(x, y) - mean_distance(x, x) - y_spread
 

@@ -31,7 +31,9 @@ return: the median over seeds, where a seed that never reached it counts as infi
 seeds that reached it is in brackets."""
 COMPARED = """\
 Normalised returns with the 95 % interval of a stratified bootstrap over seeds. A condition is a
-task and a number of demonstrations; all series were measured under the conditions of this table."""
+task and a number of demonstrations; all series were measured under the conditions of this table.
+An interquartile mean is the mean of the middle half of all runs together. With fewer than four
+runs it is the mean of all."""
 TIMED = "Wall-clock time of one seed: the median over seeds. Brackets: how many seeds reached it."
 
 

@@ -29,8 +29,8 @@ STAGE_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 class MjxPhysics:
     """One MuJoCo model on MJX, in float32; ``PhysicsState.carry`` is the solver's warm start.
 
-    MJX has no PGS solver. A model that asks for it (Humanoid's) gets Newton's method, which finds
-    the same minimum.
+    MJX has no PGS solver. A model that asks for it (Humanoid's) gets Newton's method, which
+    minimises the same function; PGS stops short of the minimum.
     """
 
     name = "mjx"

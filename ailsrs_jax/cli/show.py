@@ -49,7 +49,8 @@ def render(
         learning: Show policies of several iterations of a run instead, from the first to the kept
             one, above the learning curve. A video or an animated picture.
         play: Write a page on which the policies run in the browser instead. You push the robot, and
-            change the physics and single weights. npm fetches MuJoCo for it once.
+            change the physics and single weights. npm fetches MuJoCo for it once. The physics is
+            always MuJoCo's; --seconds and --size mean nothing.
         expert: The expert's policy.npz; by default the shipped expert of the task, if any.
         alone: Do not show an expert.
         seconds: Show at most this much of the episode, in real time.

@@ -139,7 +139,10 @@ def test_the_page_answers_its_reader(build: wasm.Build, tmp_path: Path) -> None:
       pointer("pointerdown", 0);
       pointer("pointermove", 300);
     });
-    pointer("pointerup", 300);
+    answer.freed = speedAfter(() => {
+      pointer("pointerdown", 0);
+      pointer("pointerup", 300);
+    });
     set("gravity", 0);
     set("friction", 0.5);
     answer.floating = speedAfter(none);
@@ -172,6 +175,7 @@ def test_the_page_answers_its_reader(build: wasm.Build, tmp_path: Path) -> None:
     alone, pushed, pulled = (answer[name][0] for name in ("alone", "pushed", "pulled"))
     assert pushed > alone + 0.1
     assert pulled > alone + 0.1
+    assert answer["freed"] == answer["alone"]
     assert answer["floating"][1] > answer["alone"][1] + 0.1
     assert answer["restored"] == [*answer["alone"], -9.81, 2 * answer["friction"]]
     assert answer["cell"] == ["0.25", "foot_joint → leg_joint"]

@@ -32,6 +32,7 @@ VIEWS = {
     "Swimmer-v5": "top",
     "Walker2d-v5": "side",
 }
+SCRIPTS = ("simulation", "picture", "controls")  # the parts of one script
 NUM_STARTS = 20
 LARGEST = 1e300  # in place of infinity, which JSON lacks
 
@@ -69,7 +70,7 @@ def play_html(
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined
     )
-    own, *_ = loader.get_source(environment, "play.js")
+    own = "".join(loader.get_source(environment, f"play_{part}.js")[0] for part in SCRIPTS)
     return environment.get_template("play.html").render(
         title=title,
         env_id=scene["env_id"],
@@ -85,7 +86,7 @@ def play_html(
 def play_scene(
     policies: Mapping[str, SavedPolicy], seed: int, episode_length: int
 ) -> dict[str, Any]:
-    """Return what ``play.js`` knows: the task in numbers, its model, initial states, and policies.
+    """Return what the script knows: the task in numbers, its model, initial states, and policies.
 
     Raises:
         UserError: the page does not know the task, or a policy does not fit it.

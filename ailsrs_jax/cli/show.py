@@ -97,7 +97,7 @@ def _render_play(
 
     with terminal.console.status("writing the page"):
         names = write_play(policy, output, expert=expert, alone=alone, seed=seed)
-    terminal.line(f"{len(names)} policies: {output}")
+    terminal.line(str(output))
     terminal.json({"output": str(output), "policies": names})
 
 

@@ -57,10 +57,10 @@ def _of_run(file: Path, kept: SavedPolicy) -> tuple[dict[str, SavedPolicy], str]
         return {"policy": kept}, "A policy in your browser"
     run = read_run(file.parent.parent)
     files, returns = stored_policies(run, file.parent)
-    policies = {}
+    policies: dict[str, SavedPolicy] = {}
     for iteration, path in reversed(files.items()):  # the kept one comes first
         what = f"iteration {iteration}"
-        if path == file:
+        if not policies:
             what = "kept policy"
         elif iteration == 0 and run.config["settings"].get("behavior_cloning_start"):
             what = "clone of the expert"

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax.cli import show
 from ailsrs_jax.show.episodes import play, wasm
 from ailsrs_jax.show.play import write_play
 from tests.show.browser import BROWSER, ask_in_browser
@@ -211,7 +212,9 @@ def test_the_policies_of_a_run(tmp_path: Path) -> None:
 
     alone = tmp_path / "policy.npz"
     random_policy("Swimmer-v5").save(alone)
-    assert write_play(alone, tmp_path / "play.html", alone=True) == ["policy"]
+    show.render(alone, tmp_path / "alone.html", play=True, alone=True)
+    (policy,) = scene_of((tmp_path / "alone.html").read_text())["policies"]
+    assert policy["name"] == "policy"
     random_policy("Hopper-v5").save(run / "seed_0" / "iterations" / "0.npz")
     with pytest.raises(ail.UserError, match=r"0.npz is of Hopper-v5, not of the run's task"):
         write_play(run, tmp_path / "play.html")

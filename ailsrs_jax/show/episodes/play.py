@@ -91,11 +91,9 @@ def play_scene(
     Raises:
         UserError: the page does not know the task, or a policy does not fit it.
     """
-    (env_id, *others) = {policy.env_id for policy in policies.values()}
+    env_id, *others = sorted({policy.env_id for policy in policies.values()})
     if others:
-        raise UserError(
-            f"the policies are of several tasks: {', '.join(sorted([env_id, *others]))}"
-        )
+        raise UserError(f"the policies are of several tasks: {env_id}, {', '.join(others)}")
     require_playable(env_id)
     task: Any = make_env(env_id, "mujoco")
     assert isinstance(task, GymnasiumTask)

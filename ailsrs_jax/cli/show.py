@@ -24,6 +24,7 @@ def render(
     policy: PolicyPath,
     output: Annotated[Path, arg(metavar="FILE.mp4|.webp|.html")],
     learning: Flag = False,
+    play: Flag = False,
     expert: OptionalPath = None,
     alone: Flag = False,
     physics: PhysicsName = "auto",
@@ -39,12 +40,17 @@ def render(
 
     Example: ailsrs render runs/hopper --learning --output learning.mp4
 
+    Example: ailsrs render runs/hopper --play --output play.html
+
     Args:
         policy: A policy.npz, or a run directory, whose first seed is shown.
         output: A video, an animated picture, or a page with Brax's interactive viewer, which needs
             no renderer.
         learning: Show policies of several iterations of a run instead, from the first to the kept
             one, above the learning curve. A video or an animated picture.
+        play: Write a page on which the policies run in the browser instead. You push the robot, and
+            change the physics and single weights. npm fetches MuJoCo for it once. The physics is
+            always MuJoCo's; --seconds and --size mean nothing.
         expert: The expert's policy.npz; by default the shipped expert of the task, if any.
         alone: Do not show an expert.
         seconds: Show at most this much of the episode, in real time.
@@ -53,6 +59,11 @@ def render(
     """
     if learning and (alone or expert is not None):
         raise UserError("--learning shows no expert: leave out --expert and --alone")
+    if learning and play:
+        raise UserError("--learning is a film, and --play is a page: leave out one of them")
+    if play:
+        _render_play(policy, output, expert, alone, seed, terminal)
+        return
     with terminal.stage("rendering") as watch:
         from ailsrs_jax.show import learning as film
         from ailsrs_jax.show import video
@@ -72,6 +83,22 @@ def render(
     shown = [f"{e['label']} {e['length']} steps, return {e['return']:.0f}" for e in episodes]
     terminal.line(f"{', '.join(shown)}: {output}")
     terminal.json({"output": str(output), "episodes": episodes})
+
+
+def _render_play(
+    policy: Path,
+    output: Path,
+    expert: Path | None,
+    alone: bool,
+    seed: int,
+    terminal: TerminalOptions,
+) -> None:
+    from ailsrs_jax.show.play import write_play
+
+    with terminal.console.status("writing the page"):
+        names = write_play(policy, output, expert=expert, alone=alone, seed=seed)
+    terminal.line(str(output))
+    terminal.json({"output": str(output), "policies": names})
 
 
 def report(

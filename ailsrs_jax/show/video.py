@@ -161,7 +161,7 @@ def render(
     output = None if output is None else Path(output)
     require_output(output, size)
     shown = {"policy": _load(policy)}
-    if not alone and (beside := _find_expert(policy, shown["policy"], expert)) is not None:
+    if not alone and (beside := find_expert(policy, shown["policy"], expert)) is not None:
         shown = {"expert": beside} | shown
         if env is None and beside.env_id != shown["policy"].env_id:
             raise UserError(
@@ -189,7 +189,7 @@ def shipped_expert(env_id: str, *imitated: Source | None) -> SavedPolicy | None:
         return None
 
 
-def _find_expert(
+def find_expert(
     policy: PolicyOrPath, loaded: SavedPolicy, expert: PolicyOrPath | None
 ) -> SavedPolicy | None:
     """Return the expert that was asked for, else the one that ships for the task, if any."""

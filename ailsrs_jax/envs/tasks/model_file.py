@@ -10,11 +10,11 @@ from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.errors import UserError
 
 
-def load_model(xml_file: str) -> mujoco.MjModel:
-    """Read one of Gymnasium's models by its file name, or your own by its path.
+def model_path(xml_file: str) -> Path:
+    """Return the path of one of Gymnasium's models by its file name, or of your own by its path.
 
     Raises:
-        UserError: the file does not exist, or MuJoCo cannot read it.
+        UserError: the file does not exist.
     """
     gymnasium = importlib.util.find_spec("gymnasium")
     assert gymnasium is not None
@@ -24,6 +24,16 @@ def load_model(xml_file: str) -> mujoco.MjModel:
     path = Path(xml_file).expanduser() if is_path else assets / xml_file
     if not path.is_file():
         raise UserError(f"no model file {path}")
+    return path
+
+
+def load_model(xml_file: str) -> mujoco.MjModel:
+    """Read one of Gymnasium's models by its file name, or your own by its path.
+
+    Raises:
+        UserError: the file does not exist, or MuJoCo cannot read it.
+    """
+    path = model_path(xml_file)
     try:
         with without_warnings():  # for example, that a model is outdated
             return mujoco.MjModel.from_xml_path(str(path))

@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy, repeated
+from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv, GymnasiumStart
-from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import (
     TASKS,
     is_gymnasium,
@@ -23,6 +22,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.demonstrate import roll_out
 from ailsrs_jax.runs.horizon import env_horizon
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Starts, simulate
@@ -164,11 +164,10 @@ def evaluate_random(
     """Measure the return of uniformly random actions; see :func:`evaluate`."""
     env = _open(env_id, physics)
     length = episode_length or env_horizon(env)
-    n, p = env_sizes(env)
-    low, high = action_range(env)
-    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
+    still = still_policy(env)
+    low, high = still.action_low, still.action_high
     noise_key, reset_key = jax.random.split(jax.random.key(seed))
-    noise = jax.random.uniform(noise_key, (num_episodes, length, p), minval=low, maxval=high)
+    noise = jax.random.uniform(noise_key, (num_episodes, length, len(low)), minval=low, maxval=high)
     starts: Starts | None = _resets(env, seed, num_episodes)
     if starts is None:
         starts = jax.random.split(reset_key, num_episodes)

@@ -27,7 +27,7 @@ from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
 from ailsrs_jax.runs.storage.journal import Journal
 from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
-from ailsrs_jax.runs.storage.policies import MILESTONES, kept_policies
+from ailsrs_jax.runs.storage.policies import MILESTONES, by_seed
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
 from ailsrs_jax.runs.storage.trackers import require_tracker
 
@@ -122,7 +122,7 @@ class _Run:
         iterations, scores = (np.asarray(x).tolist() for x in (kept.iteration, kept.score))
         return Result(
             config=config,
-            policies=kept_policies(part["state"], config),
+            policies=by_seed(kept.policy, config),
             kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
             scores=dict(zip(config.seeds, scores, strict=True)),
             expert_returns=self._returns,

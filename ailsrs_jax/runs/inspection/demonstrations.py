@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
-from ailsrs_jax.components.policy import LinearPolicy, Policy, repeated
+from ailsrs_jax.components.policy import Policy, repeated
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.host_calls import host_errors
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.gail import make_gail
@@ -87,8 +88,7 @@ def compare_steps(demonstrations: Demonstrations, env: Env) -> tuple[float, str 
         if difference(step(observations * factor, actions) / factor) <= SAME:
             return found, f"the observations are {1 / factor:.3g} times those of the environment"
     change, recorded = ((x - observations)[:, moving] for x in (predicted, following))
-    products = (np.mean(change * x, axis=0) for x in (change, recorded))
-    power, common = map(np.asarray, products)
+    power, common = (np.mean(change * x, axis=0) for x in (change, recorded))
     correlations = common / np.sqrt(power * np.mean(recorded**2, axis=0) + 1e-20)
     if np.mean(correlations >= ALIKE) < 0.5:
         return found, (
@@ -120,7 +120,7 @@ def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _simulated_step(env: Env) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    still = _still(env)
+    still = still_policy(env)
 
     @jax.jit
     def run(observations: jax.Array, actions: jax.Array) -> jax.Array:
@@ -136,14 +136,9 @@ def _simulated_step(env: Env) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return step
 
 
-def _still(env: Env) -> LinearPolicy:
-    n, p = env.observation_size, env.action_size
-    return LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
-
-
 def _problems_of_episodes(demonstrations: Demonstrations) -> list[str]:
-    reference = _reference(demonstrations)
-    unlike = unlike_the_others(reference, demonstrations.observations.shape[1], UNLIKE)
+    time_steps = demonstrations.observations.shape[1]
+    unlike = unlike_the_others(_reference(demonstrations), time_steps, UNLIKE)
     if not unlike.any():
         return []
     return [f"episodes are unlike most, maybe falls: {_listed(np.flatnonzero(unlike))}"]

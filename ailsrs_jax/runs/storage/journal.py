@@ -10,7 +10,7 @@ import numpy as np
 from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
-from ailsrs_jax.runs.storage.policies import EVALUATED, evaluated_policies, kept_policies
+from ailsrs_jax.runs.storage.policies import EVALUATED, by_seed
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
 from ailsrs_jax.runs.storage.trackers import Tracker
 from ailsrs_jax.trainers.algorithms import find_algorithm
@@ -81,7 +81,7 @@ class Journal:
             UserError: they cannot be written.
         """
         name = f"{int(np.max(state.iteration)) - 1}.npz"
-        for seed, policy in evaluated_policies(state, self._config).items():
+        for seed, policy in by_seed(state.kept.offered, self._config).items():
             policy.save(self._directory / f"seed_{seed}" / EVALUATED / name)
 
     def save(
@@ -106,7 +106,7 @@ class Journal:
             UserError: they cannot be written.
         """
         state, seeds = progress["state"], self._config.seeds
-        for seed, policy in kept_policies(state, self._config).items():
+        for seed, policy in by_seed(state.kept.policy, self._config).items():
             policy.save(self._directory / f"seed_{seed}" / "policy.npz")
         steps, iterations, scores = (
             np.asarray(each).tolist()

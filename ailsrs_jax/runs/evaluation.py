@@ -20,7 +20,7 @@ from ailsrs_jax.envs.registry import (
 )
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
-from ailsrs_jax.runs.demonstrate import roll_out
+from ailsrs_jax.runs.demonstrate import require_some, roll_out
 from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.runs.storage.config import require_seed
@@ -131,10 +131,7 @@ def evaluation_episodes(
     stochastic: bool = False,
 ) -> Episodes:
     """Return the episodes that :func:`evaluate` measures."""
-    if num_episodes < 1 or (episode_length is not None and episode_length < 1):
-        raise UserError(
-            f"{num_episodes} episodes of {episode_length} steps asked for: ask for at least one"
-        )
+    require_some(num_episodes, "episodes", episode_length)
     require_seed(seed)
     if env is None:
         require_harmless(policy.env_id, "the policy")

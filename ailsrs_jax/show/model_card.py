@@ -54,12 +54,7 @@ def model_card(
 ) -> str:
     """Return the card as Markdown, with the metadata that the Hugging Face Hub reads.
 
-    Args:
-        policy: the policy.
-        evaluation: its return.
-        how_evaluated: the physics and the seed of the evaluation, for people.
-        origin: where the policy comes from, if that is known.
-        license_id: the policy's licence, as an identifier of the Hub.
+    ``how_evaluated`` tells people the physics and the seed of ``evaluation``.
     """
     from huggingface_hub import EvalResult, ModelCard, ModelCardData
 

@@ -50,10 +50,7 @@ class Checkpoints:
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
-        Args:
-            directory: created if necessary.
-            save_every: iterations between checkpoints.
-            about: values that JSON can hold, saved with every checkpoint.
+        ``about`` are values that JSON can hold, which are saved with every checkpoint.
 
         Raises:
             UserError: the directory cannot be written.

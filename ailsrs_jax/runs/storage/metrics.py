@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +54,7 @@ class CsvFile:
     def __init__(self, path: Path, keys: Sequence[Sequence[int]]) -> None:
         """Keep the rows that begin with ``keys``, and drop those that a killed process added.
 
-        Args:
-            path: the file.
-            keys: the first columns of each row that has to be there, in order.
+        ``keys`` are the first columns of each row that has to be there, in order.
 
         Raises:
             UserError: a row is missing or damaged, or the file cannot be written.
@@ -74,7 +72,7 @@ class CsvFile:
                     f"file, or delete {path.parent / 'checkpoints'} to start over"
                 )
         self._has_header = bool(kept)
-        write_atomically(path, _as_csv(kept))
+        write_atomically(path, as_csv(kept))
 
     def append(
         self, columns: Sequence[str], rows: Sequence[Sequence[Any]], *, to_disk: bool = False
@@ -91,7 +89,7 @@ class CsvFile:
             self._has_header = True
         try:
             with self._path.open("ab") as file:
-                file.write(_as_csv(lines))
+                file.write(as_csv(lines))
                 if to_disk:
                     file.flush()
                     os.fsync(file.fileno())
@@ -145,7 +143,8 @@ def earlier_divergence(path: Path) -> UserError | None:
     return None
 
 
-def _as_csv(rows: Sequence[Sequence[str]]) -> bytes:
+def as_csv(rows: Iterable[Sequence[Any]]) -> bytes:
+    """Return the content of a CSV file; None becomes an empty field."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()

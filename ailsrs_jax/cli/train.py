@@ -36,7 +36,7 @@ from ailsrs_jax.cli.terminal import (
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
-    from ailsrs_jax.runs.loop import Result
+    from ailsrs_jax.runs.storage.journal import Result
 
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
 Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
@@ -102,6 +102,7 @@ def train(
     from ailsrs_jax.runs import loop
     from ailsrs_jax.runs.plan import plan
     from ailsrs_jax.runs.spec import RunSpec
+    from ailsrs_jax.runs.storage.journal import Result
     from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
@@ -172,7 +173,7 @@ def train(
         if is_first_process():
             print(f"saved; continue with:\n{this_command(*continue_by)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
-    assert isinstance(result, loop.Result)  # a single run raises its error
+    assert isinstance(result, Result)  # a single run raises its error
     if is_first_process():
         report_result(result, output, physics, terminal)
 

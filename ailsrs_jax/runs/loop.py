@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import Interrupted, interruptible
 from ailsrs_jax.runs.devices import compiler_options
@@ -23,9 +22,9 @@ from ailsrs_jax.runs.iterations import finished, iterate
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.stacking import stack_trainers
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
-from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
+from ailsrs_jax.runs.storage.config import installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
-from ailsrs_jax.runs.storage.journal import Journal
+from ailsrs_jax.runs.storage.journal import Journal, Result
 from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
 from ailsrs_jax.runs.storage.policies import MILESTONES, by_seed
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
@@ -37,18 +36,6 @@ Watch = Callable[[IterationReport], None]
 Progress = dict[str, Any]  # the training state, and the live steps of each lane so far
 
 
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """The result of a run; :func:`~ailsrs_jax.runs.run.train` returns it."""
-
-    config: RunConfig
-    policies: dict[int, SavedPolicy]  #: the kept policy of each seed
-    kept_iterations: dict[int, int]  #: the iteration that each was found in
-    scores: dict[int, float]  #: that each was kept for, such as minus its distance to the expert
-    expert_returns: np.ndarray | None  #: of the demonstrations, if there are any
-    demonstrated_length: int | None = None  #: the time limit of these [environment steps]
-
-
 class _Run:
     """One of the runs that are trained together."""
 
@@ -56,8 +43,6 @@ class _Run:
         """Use one ``lane`` of a stack, or all lanes if ``lane`` is None."""
         self.problem: UserError | None = None  # most episodes of an iteration diverged
         self._plan, self._output, self._lane = plan, output, lane
-        recorded = plan.demonstrations
-        self._returns = None if recorded is None else np.asarray(recorded.returns)
         self._journal: Journal | None = None
 
     def claim(self, resume: bool | Literal["where begun"]) -> AbstractContextManager[None]:
@@ -104,28 +89,30 @@ class _Run:
         """Write policies and ``result.json``."""
         if self._journal is not None:
             self._journal.save(
-                self._part(progress),
+                self._result(progress),
+                self._part(progress)["steps"],
                 command=self._plan.spec.command,
-                expert_returns=self._returns,
-                demonstrated_length=self._plan.demonstrated_length,
                 finished=self.problem is None and self.is_finished(progress),
             )
 
-    def result(self, progress: Progress) -> Result:
+    def end(self, progress: Progress) -> Result:
         """Return the result, and leave a checkpoint of its own for a run of a stack."""
-        config, part = self._plan.config, self._part(progress)
         if self._lane is not None and self._output is not None:
-            directory = self._output / "checkpoints"
-            with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
-                checkpoints.save(self._num_done(progress), part)
-        kept = part["state"].kept
+            about = self._plan.config.as_json()
+            with Checkpoints(self._output / "checkpoints", CHECKPOINT_EVERY, about) as checkpoints:
+                checkpoints.save(self._num_done(progress), self._part(progress))
+        return self._result(progress)
+
+    def _result(self, progress: Progress) -> Result:
+        config, recorded = self._plan.config, self._plan.demonstrations
+        kept = self._part(progress)["state"].kept
         iterations, scores = (np.asarray(x).tolist() for x in (kept.iteration, kept.score))
         return Result(
             config=config,
             policies=by_seed(kept.policy, config),
             kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
             scores=dict(zip(config.seeds, scores, strict=True)),
-            expert_returns=self._returns,
+            expert_returns=None if recorded is None else np.asarray(recorded.returns),
             demonstrated_length=self._plan.demonstrated_length,
         )
 
@@ -281,7 +268,7 @@ def execute(
 
         if not is_stack and runs[0].problem is not None:
             raise runs[0].problem
-        return [run.problem or run.result(progress) for run in runs]
+        return [run.problem or run.end(progress) for run in runs]
 
 
 def _require_options(

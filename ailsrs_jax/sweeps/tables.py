@@ -18,7 +18,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
-from ailsrs_jax.runs.loop import Result
+from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell

@@ -73,10 +73,7 @@ class _Run:
 
     def note(self, report: IterationReport) -> None:
         """Remember if most episodes of this run diverged."""
-        try:
-            self._part_of(report).require_most_finite()
-        except UserError as error:
-            self.problem = self.problem or error
+        self.problem = self.problem or self._part_of(report).divergence
 
     def append(self, report: IterationReport, progress: Progress, *, to_disk: bool) -> None:
         """Append an iteration to the journal, which led to ``progress``."""

@@ -31,21 +31,16 @@ class IterationReport:
         """Whether this is the last iteration of the run."""
         return self.finished or self.iteration + 1 == self.num_iterations
 
+    @property
+    def divergence(self) -> UserError | None:
+        """The error if most episodes of this iteration diverged, over all seeds; else None."""
+        episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
+        return _divergence(self.iteration, episodes, diverged)
+
     def require_most_finite(self) -> None:
         """Raise UserError if most episodes of this iteration diverged, over all seeds."""
-        episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
-        require_most_finite(self.iteration, episodes, diverged)
-
-
-def require_most_finite(iteration: int, episodes: int, diverged: int) -> None:
-    """Raise UserError if most episodes diverged, because too little is left to learn from."""
-    if 2 * diverged > episodes:
-        raise UserError(
-            f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
-            "(observations, actions or rewards that are not finite, or beyond 1e10): the physics "
-            "is unstable under these policies; a smaller timestep or noise_std, or less stiffness "
-            "or gain in the model, may help"
-        )
+        if (error := self.divergence) is not None:
+            raise error
 
 
 class CsvFile:
@@ -133,14 +128,21 @@ def earlier_divergence(path: Path) -> UserError | None:
     metrics = read_metrics(path)
     iterations = metrics["iteration"].astype(int)
     episodes, diverged = (
-        np.bincount(iterations, metrics[name]) for name in ("episodes", "diverged")
+        np.bincount(iterations, metrics[name]).astype(int) for name in ("episodes", "diverged")
     )
-    for iteration in np.flatnonzero(diverged):
-        try:
-            require_most_finite(int(iteration), int(episodes[iteration]), int(diverged[iteration]))
-        except UserError as error:
-            return error
-    return None
+    errors = map(_divergence, range(len(episodes)), episodes, diverged)
+    return next(filter(None, errors), None)
+
+
+def _divergence(iteration: int, episodes: int, diverged: int) -> UserError | None:
+    if 2 * diverged <= episodes:
+        return None  # enough is left to learn from
+    return UserError(
+        f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
+        "(observations, actions or rewards that are not finite, or beyond 1e10): the physics is "
+        "unstable under these policies; a smaller timestep or noise_std, or less stiffness or gain "
+        "in the model, may help"
+    )
 
 
 def as_csv(rows: Iterable[Sequence[Any]]) -> bytes:

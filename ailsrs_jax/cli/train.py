@@ -185,12 +185,10 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     from ailsrs_jax.trainers.algorithms import find_algorithm
     from ailsrs_jax.trainers.parts.reference import verdict
 
-    length = result.config.settings.episode_length
-    expert, mean = None, None
-    if result.expert_returns is not None:
-        mean = float(result.expert_returns.mean())
-        expert = mean, float(result.expert_returns.std())
-    is_distance = find_algorithm(result.config.algorithm).kept_by == "expert_distance"
+    config, expert = result.config, result.expert_returns
+    length = config.settings.episode_length
+    mean, std = (None, None) if expert is None else (float(expert.mean()), float(expert.std()))
+    is_distance = find_algorithm(config.algorithm).kept_by == "expert_distance"
     table = Table("seed", "kept at", "return, 100 episodes", "of the expert", "distance", box=None)
     fields: list[dict[str, Any]] = []
     verdicts: list[str] = []
@@ -216,7 +214,7 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     if expert is not None:
         other = result.demonstrated_length
         note = f" in episodes of {other} steps, not {length}" if other != length else ""
-        table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}{note}", style="dim")
+        table.add_row("expert", "", f"{mean:.0f} ± {std:.0f}{note}", style="dim")
     terminal.console.print(table)
     plot_training_curve(output)
     if verdicts:
@@ -225,7 +223,6 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     quoted = shlex.quote(str(output))
     for command in ("report {}", "render {} --output video.mp4", "evaluate {}"):
         terminal.line(f"  ailsrs {command.format(quoted)}")
-    config = result.config
     terminal.json(
         {
             "output": str(output),
@@ -234,8 +231,8 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
             "algorithm": config.algorithm,
             "episode_length": length,
             "seeds": fields,
-            "expert_return_mean": expert and expert[0],
-            "expert_return_std": expert and expert[1],
+            "expert_return_mean": mean,
+            "expert_return_std": std,
             "expert_episode_length": result.demonstrated_length,
         }
     )

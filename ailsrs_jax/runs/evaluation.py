@@ -1,4 +1,4 @@
-"""The return of a policy, on any engine or in Gymnasium itself."""
+"""Measure the return of a policy, on any engine or in Gymnasium itself."""
 
 import dataclasses
 import logging
@@ -109,13 +109,7 @@ def evaluate(
         UserError: an argument is wrong, or the policy does not fit or is not stochastic.
     """
     episodes = evaluation_episodes(
-        policy,
-        num_episodes,
-        physics,
-        seed,
-        env=env,
-        episode_length=episode_length,
-        stochastic=stochastic,
+        policy, num_episodes, physics, seed, env, episode_length, stochastic=stochastic
     )
     return Evaluation.of(episodes)
 
@@ -125,9 +119,9 @@ def evaluation_episodes(
     num_episodes: int,
     physics: str,
     seed: int = 0,
-    *,
     env: Env | None = None,
     episode_length: int | None = None,
+    *,
     stochastic: bool = False,
 ) -> Episodes:
     """Return the episodes that :func:`evaluate` measures."""
@@ -191,5 +185,5 @@ def _open(env: Env | str, physics: str) -> Env:
 
 
 def _resets(env: Env, seed: int, num_episodes: int) -> GymnasiumStart | None:
-    """Resets of environments of Gymnasium with seeds that anybody can use for the same episodes."""
+    """Return resets by seed, which give the same episodes to anybody, if Gymnasium takes them."""
     return env.resets(seed + jnp.arange(num_episodes)) if isinstance(env, GymnasiumEnv) else None

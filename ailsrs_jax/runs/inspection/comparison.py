@@ -1,4 +1,4 @@
-"""Runs side by side, by their own records."""
+"""Compare runs by their own records."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What demonstrations are, before anything is trained on them."""
+"""Describe demonstrations before anything is trained on them."""
 
 import dataclasses
 from collections.abc import Callable
@@ -108,7 +108,7 @@ def compare_steps(demonstrations: Demonstrations, env: Env) -> tuple[float, str 
 
 
 def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some observations, actions and next observations, spread over all episodes."""
+    """Return some observations, actions and next observations, spread over all episodes."""
     alive = np.asarray(demonstrations.alive)
     episode, time = np.nonzero(alive[:, :-1] & alive[:, 1:])
     chosen = np.unique(np.linspace(0, max(len(time) - 1, 0), NUM_PAIRS).astype(int))[: len(time)]
@@ -177,7 +177,7 @@ def _clipped_share(demonstrations: Demonstrations, env: Env) -> float:
 
 
 def _linearity(demonstrations: Demonstrations) -> dict[str, float]:
-    """R² on the last fifth of the steps, of a linear policy fitted to the others."""
+    """Fit linear policies to four fifths of the steps, and return their R² on the last fifth."""
     reference = _reference(demonstrations)
     alive = reference.alive
     order = jnp.cumsum(alive).reshape(alive.shape)
@@ -203,7 +203,7 @@ def _reference(demonstrations: Demonstrations) -> Reference:
 
 
 def _clones(demonstrations: Demonstrations, env: Env) -> dict[str, float]:
-    """Returns of a linear and of a neural clone."""
+    """Return the mean environment return of a linear and of a neural clone."""
     simulator, length = as_simulator(env), demonstrations.time_limit
     common = {"behavior_cloning_start": True, "standardize_with": "expert"}
     common |= {"episode_length": length}

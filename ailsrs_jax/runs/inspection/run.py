@@ -1,4 +1,4 @@
-"""Did a run work? Judged from its own records, without the environment's reward."""
+"""Judge a run by its own records, without the environment's reward."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping

@@ -161,7 +161,7 @@ def stored_policies(run: SavedRun, seed_directory: Path) -> tuple[dict[int, Path
         raise UserError(f"{seed_directory} is not of a seed that the run has kept a policy of")
     seed = names[seed_directory.name]
     kept = run.kept_iterations[seed]
-    returns = run.metrics["evaluation_return"][run.metrics["seed"] == seed]
+    returns = run.of_seed(seed)["evaluation_return"]
     if kept >= len(returns):
         raise UserError(f"{run.directory / 'metrics.csv'} has no row of the kept iteration {kept}")
     earlier = sorted(iteration for iteration in MILESTONES if iteration < kept)

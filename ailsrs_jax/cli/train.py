@@ -9,20 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.cli.arguments import (
     Count,
     EnvName,
-    Every,
     Flag,
     OptionalPath,
     PhysicsName,
-    Seconds,
-    Seeds,
     Settings,
     TrackerName,
-    Workers,
     assignments,
 )
 from ailsrs_jax.cli.terminal import (
@@ -39,7 +35,13 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.storage.journal import Result
 
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
+Every = Annotated[int, arg(metavar="K")]
+Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
+Seeds = Annotated[
+    UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
+]
 Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
+Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
 
 
 def train(

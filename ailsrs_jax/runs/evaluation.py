@@ -11,13 +11,7 @@ from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv, GymnasiumStart
-from ailsrs_jax.envs.registry import (
-    TASKS,
-    is_gymnasium,
-    open_env,
-    require_harmless,
-    resolve_env_id,
-)
+from ailsrs_jax.envs.registry import TASKS, is_gymnasium, open_env, require_harmless, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.demonstrate import require_some, roll_out

@@ -116,13 +116,9 @@ def replay(
 ) -> Replay | Film:
     """Roll out one episode: the first that ``evaluate`` simulates on the same engine.
 
-    Args:
-        policy: the policy.
-        env: an environment that MuJoCo simulates; by default the task that the policy names.
-        physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by its name.
-        seed: seed of the initial state.
-        seconds: simulated time after which the episode is cut off.
-        episode_length: its time limit in environment steps; by default the environment's own.
+    It is cut off after ``seconds`` of simulated time, or after ``episode_length`` environment
+    steps, by default the environment's own limit. The other arguments are those of
+    :func:`~ailsrs_jax.show.video.render`.
 
     Raises:
         UserError: the task is unknown or not simulated by MuJoCo, the policy does not fit it, or

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from ailsrs_jax.runs.experts.evolution import EvolutionSettings as EvolutionSettings
     from ailsrs_jax.runs.experts.expert import train_expert as train_expert
     from ailsrs_jax.runs.experts.ppo import PpoSettings as PpoSettings
-    from ailsrs_jax.runs.loop import Result as Result
     from ailsrs_jax.runs.policies import jax_policy as jax_policy
     from ailsrs_jax.runs.policies import load_expert as load_expert
     from ailsrs_jax.runs.run import train as train
+    from ailsrs_jax.runs.storage.journal import Result as Result
     from ailsrs_jax.runs.storage.metrics import IterationReport as IterationReport
     from ailsrs_jax.show.export import export as export
     from ailsrs_jax.show.reports.report import report as report
@@ -89,7 +89,7 @@ _HOMES = {
     "MujocoTask": "envs.tasks.mujoco_task",
     "PpoSettings": "runs.experts.ppo",
     "Recording": "data.episodes",
-    "Result": "runs.loop",
+    "Result": "runs.storage.journal",
     "SavedLinearPolicy": "data.policies",
     "SavedMlpPolicy": "data.policies",
     "SavedPolicy": "data.policies",

@@ -65,7 +65,7 @@ PARTS = {
     "errors": "Mistakes",
 }
 # Classes that public functions return and that users do not create.
-RETURNED = ("runs.loop.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
+RETURNED = ("runs.storage.journal.Result", "runs.evaluation.Evaluation", "data.episodes.Recording")
 
 
 def setup(app: Sphinx) -> None:

@@ -20,7 +20,12 @@ from typing import Any
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import write_atomically, write_json
-from ailsrs_jax.show.sweep_report import aggregates, markdown_table, report_sweep
+from ailsrs_jax.show.sweep_report import (
+    aggregate_tables,
+    markdown_section,
+    markdown_table,
+    report_sweep,
+)
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import group_cells
@@ -221,7 +226,8 @@ def _experts(evidence: Evidence) -> str:
 def _section(name: str, results: SweepResults, directory: Path) -> list[str]:
     """Return the interquartile means, the figures and the links to the tables of a sweep."""
     folder = f"results/{name}"
-    parts = aggregates(group_cells(results.cells), level=3)
+    tables = aggregate_tables(group_cells(results.cells))
+    parts = [part for table in tables for part in markdown_section(table, level=3)]
     drawn = [f for f in FIGURES if (directory / name / "figures" / f"{f}.png").exists()]
     parts += [f"![{figure} of {name}]({folder}/figures/{figure}.png)" for figure in drawn]
     links = {"all returns": "table.md", "times": "timings.md", "all figures": "figures"}

@@ -36,9 +36,6 @@ RealPhysicsName = Annotated[
 Seed = Annotated[int, arg(help="Seed of all random numbers, from 0.")]
 # An empty hint replaces "(default: None)" and "(default: False)"; the help says what happens.
 Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
-Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
-Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
-Every = Annotated[int, arg(metavar="K")]
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 OwnEnv = Annotated[
     str | None,
@@ -67,9 +64,6 @@ Settings = Annotated[
         help="Settings to change, as in --set num_iterations=50; a wrong name lists all of them.",
         help_behavior_hint="(repeatable)",
     ),
-]
-Seeds = Annotated[
-    UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
 ]
 
 

@@ -5,14 +5,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import (
-    Count,
-    EnvName,
-    PhysicsName,
-    Seed,
-    Settings,
-    assignments,
-)
+from ailsrs_jax.cli.arguments import Count, EnvName, PhysicsName, Seed, Settings, assignments
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import is_own

@@ -137,8 +137,9 @@ def _cost(run: "RunSummary") -> str:
 
 def _print_run(directory: Path, terminal: Terminal) -> None:
     from ailsrs_jax.runs.inspection.run import inspect_run
+    from ailsrs_jax.runs.storage.saved_run import read_run
 
-    seeds = inspect_run(directory)
+    seeds = inspect_run(read_run(directory))
     terminal.json({"seeds": [dataclasses.asdict(seed) for seed in seeds]})
     for seed in [] if terminal.as_json else seeds:
         terminal.line(

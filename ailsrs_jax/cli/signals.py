@@ -76,7 +76,7 @@ class StopSignals:
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         self._handlers = {n: each for n, each in handlers.items() if each != signal.SIG_IGN}
         threading.Thread(target=self._listen, name="signals", daemon=True).start()
-        # In this order, here and at the end, no signal is lost.
+        # This order, here and at the end, loses no signal.
         self._wakeup_fd = signal.set_wakeup_fd(self._teller.fileno())
         for number in self._handlers:
             signal.signal(number, lambda *_: None)

@@ -101,7 +101,7 @@ TERMINAL = Terminal()
 
 
 def evaluation_fields(evaluation: Any) -> dict[str, Any]:
-    """The JSON fields of an :class:`~ailsrs_jax.runs.evaluation.Evaluation`."""
+    """Return the JSON fields of an :class:`~ailsrs_jax.runs.evaluation.Evaluation`."""
     return {
         "episodes": len(evaluation.returns),
         "diverged": evaluation.num_diverged,
@@ -119,7 +119,7 @@ def percentage(value: float, expert_return: float | None) -> str:
 
 
 def this_command(*more: str) -> str:
-    """The command line of this process followed by ``more``, quoted for a shell."""
+    """Return the command line of this process followed by ``more``, quoted for a shell."""
     program = Path(sys.argv[0])
     if program.name == "__main__.py":
         start = [sys.executable, "-m", "ailsrs_jax"]

@@ -9,20 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.cli.arguments import (
     Count,
     EnvName,
-    Every,
     Flag,
     OptionalPath,
     PhysicsName,
-    Seconds,
-    Seeds,
     Settings,
     TrackerName,
-    Workers,
     assignments,
 )
 from ailsrs_jax.cli.terminal import (
@@ -36,10 +32,16 @@ from ailsrs_jax.cli.terminal import (
 from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
-    from ailsrs_jax.runs.loop import Result
+    from ailsrs_jax.runs.storage.journal import Result
 
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
+Every = Annotated[int, arg(metavar="K")]
+Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
+Seeds = Annotated[
+    UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
+]
 Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
+Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
 
 
 def train(
@@ -105,6 +107,7 @@ def train(
     from ailsrs_jax.runs import loop
     from ailsrs_jax.runs.plan import plan
     from ailsrs_jax.runs.spec import RunSpec
+    from ailsrs_jax.runs.storage.journal import Result
     from ailsrs_jax.runs.storage.processes import is_first_process, join_processes
     from ailsrs_jax.runs.storage.trackers import require_tracker
     from ailsrs_jax.trainers.algorithms import find_algorithm, preset_settings
@@ -177,7 +180,7 @@ def train(
         if is_first_process():
             print(f"saved; continue with:\n{this_command(*continue_by)}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
-    assert isinstance(result, loop.Result)  # a single run raises its error
+    assert isinstance(result, Result)  # a single run raises its error
     if is_first_process():
         report_result(result, output, physics, terminal)
 
@@ -189,12 +192,10 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     from ailsrs_jax.trainers.algorithms import find_algorithm
     from ailsrs_jax.trainers.parts.reference import verdict
 
-    length = result.config.settings.episode_length
-    expert, mean = None, None
-    if result.expert_returns is not None:
-        mean = float(result.expert_returns.mean())
-        expert = mean, float(result.expert_returns.std())
-    is_distance = find_algorithm(result.config.algorithm).kept_by == "expert_distance"
+    config, expert = result.config, result.expert_returns
+    length = config.settings.episode_length
+    mean, std = (None, None) if expert is None else (float(expert.mean()), float(expert.std()))
+    is_distance = find_algorithm(config.algorithm).kept_by == "expert_distance"
     table = Table("seed", "kept at", "return, 100 episodes", "of the expert", "distance", box=None)
     fields: list[dict[str, Any]] = []
     verdicts: list[str] = []
@@ -220,7 +221,7 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     if expert is not None:
         other = result.demonstrated_length
         note = f" in episodes of {other} steps, not {length}" if other != length else ""
-        table.add_row("expert", "", f"{expert[0]:.0f} ± {expert[1]:.0f}{note}", style="dim")
+        table.add_row("expert", "", f"{mean:.0f} ± {std:.0f}{note}", style="dim")
     terminal.console.print(table)
     plot_training_curve(output)
     if verdicts:
@@ -229,7 +230,6 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     quoted = shlex.quote(str(output))
     for command in ("report {}", "render {} --output video.mp4", "evaluate {}"):
         terminal.line(f"  ailsrs {command.format(quoted)}")
-    config = result.config
     terminal.json(
         {
             "output": str(output),
@@ -238,8 +238,8 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
             "algorithm": config.algorithm,
             "episode_length": length,
             "seeds": fields,
-            "expert_return_mean": expert and expert[0],
-            "expert_return_std": expert and expert[1],
+            "expert_return_mean": mean,
+            "expert_return_std": std,
             "expert_episode_length": result.demonstrated_length,
         }
     )

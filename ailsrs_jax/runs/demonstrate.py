@@ -45,15 +45,9 @@ def roll_out(
 ) -> Episodes:
     """Roll out ``policy`` in ``env``; episode ``i`` does not depend on the number of episodes.
 
-    Args:
-        policy: the policy.
-        env: the environment.
-        num_episodes: how many episodes.
-        key: of the initial states and the noise.
-        episode_length: the time limit in environment steps.
-        noise_std: standard deviation, a number or ``(p,)``, of Gaussian noise that is added to the
-            actions before they are clipped.
-        starts: of the episodes, instead of those that ``key`` gives.
+    ``key`` gives the noise and, without ``starts``, the initial states. ``noise_std``, a number or
+    ``(p,)``, is the standard deviation of Gaussian noise that is added to the actions before they
+    are clipped.
 
     Raises:
         UserError: the policy does not fit the environment, or the environment fails.
@@ -140,11 +134,7 @@ def record(
     action_noise: float = 0.0,
 ) -> Recording:
     """Do as :func:`demonstrate`; also return what :func:`save_minari` needs beside it."""
-    if num_trajectories < 1 or (episode_length is not None and episode_length < 1):
-        raise UserError(
-            f"{num_trajectories} trajectories of {episode_length} steps asked for: ask for at "
-            "least one"
-        )
+    require_some(num_trajectories, "trajectories", episode_length)
     if not (math.isfinite(action_noise) and action_noise >= 0):
         raise UserError(f"action_noise is {action_noise}: it must be 0 or more")
     require_seed(seed)
@@ -189,6 +179,14 @@ def record(
     return Recording(demonstrations, env_rewards, np.asarray(episodes.final_observations))
 
 
+def require_some(number: int, of_what: str, episode_length: int | None) -> None:
+    """Raise UserError unless at least one step of one episode is asked for."""
+    if number < 1 or (episode_length is not None and episode_length < 1):
+        raise UserError(
+            f"{number} {of_what} of {episode_length} steps asked for: ask for at least one"
+        )
+
+
 def expert_demonstrations(
     env_id: str,
     num_trajectories: int,
@@ -201,15 +199,8 @@ def expert_demonstrations(
     """Return demonstrations of the expert that ships with the package, from the cache if possible.
 
     The file name in the cache is a hash of all that the demonstrations depend on. If the cache
-    cannot be read or written, they are simulated again.
-
-    Args:
-        env_id: the task.
-        num_trajectories: how many episodes.
-        physics: ``auto``, ``mjx`` or ``mujoco``.
-        of_paper: use the expert that returns what the paper's does, where there are two.
-        episode_length: the time limit in environment steps.
-        only_cached: simulate nothing.
+    cannot be read or written, they are simulated again. Where a task has two experts, ``of_paper``
+    takes the one that returns what the paper's does.
 
     Raises:
         UserError: there is no such expert, or ``only_cached`` and they are not in the cache.

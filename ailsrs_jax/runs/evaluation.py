@@ -1,4 +1,4 @@
-"""The return of a policy, on any engine or in Gymnasium itself."""
+"""Measure the return of a policy, on any engine or in Gymnasium itself."""
 
 import dataclasses
 import logging
@@ -7,22 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy, repeated
+from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv, GymnasiumStart
-from ailsrs_jax.envs.interface import action_range, env_sizes
-from ailsrs_jax.envs.registry import (
-    TASKS,
-    is_gymnasium,
-    open_env,
-    require_harmless,
-    resolve_env_id,
-)
+from ailsrs_jax.envs.registry import TASKS, is_gymnasium, open_env, require_harmless, resolve_env_id
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
-from ailsrs_jax.runs.demonstrate import roll_out
+from ailsrs_jax.runs.demonstrate import require_some, roll_out
 from ailsrs_jax.runs.horizon import env_horizon
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Starts, simulate
@@ -109,13 +103,7 @@ def evaluate(
         UserError: an argument is wrong, or the policy does not fit or is not stochastic.
     """
     episodes = evaluation_episodes(
-        policy,
-        num_episodes,
-        physics,
-        seed,
-        env=env,
-        episode_length=episode_length,
-        stochastic=stochastic,
+        policy, num_episodes, physics, seed, env, episode_length, stochastic=stochastic
     )
     return Evaluation.of(episodes)
 
@@ -125,16 +113,13 @@ def evaluation_episodes(
     num_episodes: int,
     physics: str,
     seed: int = 0,
-    *,
     env: Env | None = None,
     episode_length: int | None = None,
+    *,
     stochastic: bool = False,
 ) -> Episodes:
     """Return the episodes that :func:`evaluate` measures."""
-    if num_episodes < 1 or (episode_length is not None and episode_length < 1):
-        raise UserError(
-            f"{num_episodes} episodes of {episode_length} steps asked for: ask for at least one"
-        )
+    require_some(num_episodes, "episodes", episode_length)
     require_seed(seed)
     if env is None:
         require_harmless(policy.env_id, "the policy")
@@ -164,11 +149,10 @@ def evaluate_random(
     """Measure the return of uniformly random actions; see :func:`evaluate`."""
     env = _open(env_id, physics)
     length = episode_length or env_horizon(env)
-    n, p = env_sizes(env)
-    low, high = action_range(env)
-    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), low, high)
+    still = still_policy(env)
+    low, high = still.action_low, still.action_high
     noise_key, reset_key = jax.random.split(jax.random.key(seed))
-    noise = jax.random.uniform(noise_key, (num_episodes, length, p), minval=low, maxval=high)
+    noise = jax.random.uniform(noise_key, (num_episodes, length, len(low)), minval=low, maxval=high)
     starts: Starts | None = _resets(env, seed, num_episodes)
     if starts is None:
         starts = jax.random.split(reset_key, num_episodes)
@@ -195,5 +179,5 @@ def _open(env: Env | str, physics: str) -> Env:
 
 
 def _resets(env: Env, seed: int, num_episodes: int) -> GymnasiumStart | None:
-    """Resets of environments of Gymnasium with seeds that anybody can use for the same episodes."""
+    """Return resets by seed, which give the same episodes to anybody, if Gymnasium takes them."""
     return env.resets(seed + jnp.arange(num_episodes)) if isinstance(env, GymnasiumEnv) else None

@@ -5,13 +5,12 @@ else the environment's, else the preset's. Training, all evaluations and all pic
 have the same.
 """
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.storage.config import read_config
+from ailsrs_jax.runs.storage.config import find_run, read_config
 
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 LONGEST = 10_000  # steps that only a file asks for; simulating more could fill the memory
@@ -46,8 +45,8 @@ def policy_horizon(path: Path) -> int | None:
     Raises:
         UserError: the configuration of the run is damaged.
     """
-    path = path.absolute()
-    file = path.parent.parent / "config.json"
-    if not re.fullmatch(r"seed_\d{1,10}", path.parent.name) or not file.exists():
+    origin = find_run(path)
+    if origin is None:
         return None
+    file = origin[0] / "config.json"
     return saved_horizon(read_config(file), file)

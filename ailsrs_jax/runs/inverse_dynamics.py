@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy, repeated
+from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import host_errors
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.trainers.parts.rollout import simulate
 
 logger = logging.getLogger(__name__)
@@ -68,10 +69,8 @@ def one_step(env: Env) -> Step:
     """Return a function that steps ``env`` once from observed states, with given actions."""
 
     def step(observations: jax.Array, actions: jax.Array) -> jax.Array:
-        n, p = env.observation_size, env.action_size
-        still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
         starts = jax.vmap(env.state_at)(observations)
-        policies = repeated(still, len(observations))
+        policies = repeated(still_policy(env), len(observations))
         return simulate(env, policies, starts, 1, noise=actions[:, None]).final_observations
 
     return step

@@ -23,17 +23,11 @@ def iterate(
 ) -> Iterator[tuple[Any, IterationReport]]:
     """Apply ``update`` until ``num_iterations`` are done, and yield state and report after each.
 
-    A state may have a field ``finished``; the iterations end early once it is true for all lanes.
-
-    Args:
-        update: of one lane, that is of one seed of one run; it is applied to all lanes at once.
-        state: of all lanes, after ``start`` iterations.
-        env_steps: ``(lanes,)`` int64, live steps simulated so far.
-        start: iterations already done.
-        num_iterations: iterations in all.
-        arguments: further arguments of ``update``, for all lanes.
-        place: where results lie on the devices, so that ``update`` can take them again.
-        compiler_options: of XLA.
+    ``update`` takes the state of one lane, that is of one seed of one run, and that lane's part of
+    ``arguments``; it is applied to all lanes at once. A state may have a field ``finished``; the
+    iterations end early once it is true for all lanes. ``state`` is that after ``start``
+    iterations, and ``env_steps (lanes,)`` int64 are the live steps until then. Results lie at
+    ``place`` on the devices, so that ``update`` can take them again.
 
     Raises:
         Interrupted: an iteration has ended early, because somebody asked for a stop.

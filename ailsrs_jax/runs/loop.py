@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import Interrupted, interruptible
 from ailsrs_jax.runs.devices import compiler_options
@@ -23,11 +22,11 @@ from ailsrs_jax.runs.iterations import finished, iterate
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.stacking import stack_trainers
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
-from ailsrs_jax.runs.storage.config import RunConfig, installed_versions
+from ailsrs_jax.runs.storage.config import installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
-from ailsrs_jax.runs.storage.journal import Journal
+from ailsrs_jax.runs.storage.journal import Journal, Result
 from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
-from ailsrs_jax.runs.storage.policies import MILESTONES, kept_policies
+from ailsrs_jax.runs.storage.policies import MILESTONES, by_seed
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
 from ailsrs_jax.runs.storage.trackers import require_tracker
 
@@ -35,18 +34,6 @@ CHECKPOINT_EVERY = 10  # iterations
 
 Watch = Callable[[IterationReport], None]
 Progress = dict[str, Any]  # the training state, and the live steps of each lane so far
-
-
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """The result of a run; :func:`~ailsrs_jax.runs.run.train` returns it."""
-
-    config: RunConfig
-    policies: dict[int, SavedPolicy]  #: the kept policy of each seed
-    kept_iterations: dict[int, int]  #: the iteration that each was found in
-    scores: dict[int, float]  #: that each was kept for, such as minus its distance to the expert
-    expert_returns: np.ndarray | None  #: of the episodes that it could draw, if it imitates
-    demonstrated_length: int | None = None  #: the time limit of these [environment steps]
 
 
 class _Run:
@@ -86,10 +73,7 @@ class _Run:
 
     def note(self, report: IterationReport) -> None:
         """Remember if most episodes of this run diverged."""
-        try:
-            self._part_of(report).require_most_finite()
-        except UserError as error:
-            self.problem = self.problem or error
+        self.problem = self.problem or self._part_of(report).divergence
 
     def append(self, report: IterationReport, progress: Progress, *, to_disk: bool) -> None:
         """Append an iteration to the journal, which led to ``progress``."""
@@ -102,25 +86,27 @@ class _Run:
         """Write policies and ``result.json``."""
         if self._journal is not None:
             self._journal.save(
-                self._part(progress),
+                self._result(progress),
+                self._part(progress)["steps"],
                 command=self._plan.spec.command,
-                expert_returns=self._plan.expert_returns,
-                demonstrated_length=self._plan.demonstrated_length,
                 finished=self.problem is None and self.is_finished(progress),
             )
 
-    def result(self, progress: Progress) -> Result:
+    def end(self, progress: Progress) -> Result:
         """Return the result, and leave a checkpoint of its own for a run of a stack."""
-        config, part = self._plan.config, self._part(progress)
         if self._lane is not None and self._output is not None:
-            directory = self._output / "checkpoints"
-            with Checkpoints(directory, CHECKPOINT_EVERY, config.as_json()) as checkpoints:
-                checkpoints.save(self._num_done(progress), part)
-        kept = part["state"].kept
+            about = self._plan.config.as_json()
+            with Checkpoints(self._output / "checkpoints", CHECKPOINT_EVERY, about) as checkpoints:
+                checkpoints.save(self._num_done(progress), self._part(progress))
+        return self._result(progress)
+
+    def _result(self, progress: Progress) -> Result:
+        config = self._plan.config
+        kept = self._part(progress)["state"].kept
         iterations, scores = (np.asarray(x).tolist() for x in (kept.iteration, kept.score))
         return Result(
             config=config,
-            policies=kept_policies(part["state"], config),
+            policies=by_seed(kept.policy, config),
             kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
             scores=dict(zip(config.seeds, scores, strict=True)),
             expert_returns=self._plan.expert_returns,
@@ -279,7 +265,7 @@ def execute(
 
         if not is_stack and runs[0].problem is not None:
             raise runs[0].problem
-        return [run.problem or run.result(progress) for run in runs]
+        return [run.problem or run.end(progress) for run in runs]
 
 
 def _require_options(

@@ -1,4 +1,4 @@
-"""Saved policies as JAX functions, and the experts that ship with the package."""
+"""Saved policies as JAX functions, a policy that does nothing, and the shipped experts."""
 
 import dataclasses
 
@@ -7,6 +7,8 @@ import jax.numpy as jnp
 
 from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
+from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import action_range, env_sizes
 from ailsrs_jax.envs.registry import resolve_env_id
 
 
@@ -24,6 +26,12 @@ def jax_policy(saved: SavedPolicy) -> Policy:
     policy = (LinearPolicy if isinstance(saved, SavedLinearPolicy) else MlpPolicy)(**fields)
     in_float32: Policy = jax.tree.map(jnp.float32, policy)
     return in_float32
+
+
+def still_policy(env: Env) -> LinearPolicy:
+    """Return the policy of ``env`` whose actions are 0."""
+    n, p = env_sizes(env)
+    return LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
 
 
 def load_expert(env: str, *, of_paper: bool = False) -> SavedPolicy:

@@ -6,9 +6,10 @@ from typing import Any
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.runs.loop import CHECKPOINT_EVERY, Result, Watch, execute
+from ailsrs_jax.runs.loop import CHECKPOINT_EVERY, Watch, execute
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.storage.journal import Result
 
 FIELDS = {field.name for field in dataclasses.fields(RunSpec)} - {"settings"}
 

@@ -52,7 +52,7 @@ def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer
     }
     if hasattr(template, "reference"):
         references = [trainer.reference for trainer in members]
-        if not all(_same(reference, references[0]) for reference in references):
+        if not all(map(_same, references, references[1:])):
             most = max(len(reference.lengths) for reference in references)
             padded = [_pad(reference, most) for reference in references]
             arguments["reference"] = jax.tree.map(lambda *xs: jnp.stack(xs), *padded)
@@ -68,8 +68,7 @@ def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer
 
 
 def _same(one: Reference, other: Reference) -> bool:
-    leaves = jax.tree.leaves(one), jax.tree.leaves(other)
-    return all(np.array_equal(x, y) for x, y in zip(*leaves, strict=True))
+    return jax.tree.all(jax.tree.map(np.array_equal, one, other))
 
 
 def _pad(reference: Reference, num_episodes: int) -> Reference:

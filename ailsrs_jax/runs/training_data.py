@@ -34,13 +34,7 @@ class TrainingData(NamedTuple):
 
 
 def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> TrainingData:
-    """Read the demonstrations of ``spec``, or roll out the shipped expert.
-
-    Args:
-        spec: says which, how many, and whether to subsample them.
-        env: the task, which they have to fit.
-        env_id: its name.
-        engine: the physics engine for the shipped expert.
+    """Read the demonstrations that ``spec`` names, or roll out the shipped expert on ``engine``.
 
     Raises:
         UserError: they cannot be read, do not fit the task, or are too few.

@@ -50,7 +50,7 @@ def draw_curves(run: SavedRun) -> Figure:
     columns = [name for name in PANELS if name in run.metrics]
     with style.context(LARGER):
         figure, all_axes = panels(columns, len(PANELS), row_height=2.9, width=4 * len(columns))
-        for index, (seed, mine) in enumerate(by_seed(run.metrics).items()):
+        for index, (seed, mine) in enumerate(by_seed(run).items()):
             color = COLORS[index % len(COLORS)]
             steps = mine["env_steps"] / 1e6
             at = mine["iteration"] == run.kept_iterations.get(seed)
@@ -71,12 +71,10 @@ def draw_curves(run: SavedRun) -> Figure:
     return figure
 
 
-def by_seed(metrics: Mapping[str, np.ndarray]) -> dict[int, dict[str, np.ndarray]]:
-    """Return the rows of ``metrics.csv`` of each seed, in the order of the seeds there."""
-    return {
-        seed: {name: values[metrics["seed"] == seed] for name, values in metrics.items()}
-        for seed in dict.fromkeys(metrics["seed"].astype(int).tolist())
-    }
+def by_seed(run: SavedRun) -> dict[int, dict[str, np.ndarray]]:
+    """Return the metrics of each seed, in the order of the seeds in ``metrics.csv``."""
+    seeds = dict.fromkeys(run.metrics["seed"].astype(int).tolist())
+    return {seed: run.of_seed(seed) for seed in seeds}
 
 
 def _draw_expert_score(axes: Axes, metrics: Mapping[str, np.ndarray], color: str) -> None:

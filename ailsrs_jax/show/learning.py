@@ -105,14 +105,9 @@ def film_learning(
 ) -> LearningFilm:
     """Show how a run learned: its first policy, two between, and the kept one.
 
-    Args:
-        policy: a run directory, whose first seed is shown, or the ``policy.npz`` of another seed.
-        output: an ``.mp4`` or ``.webp`` file.
-        physics: as in :func:`~ailsrs_jax.show.video.render`, as for the arguments below.
-        seed: seed of the initial state, which all episodes share.
-        seconds: longest part of each episode to show.
-        size: height and width of each picture in pixels.
-        watch: called with the number of pictures that are drawn, and that of all.
+    ``policy`` is a run directory, whose first seed is shown, or the ``policy.npz`` of another seed.
+    ``output`` is an ``.mp4`` or ``.webp`` file. All episodes share the initial state. The other
+    arguments are those of :func:`~ailsrs_jax.show.video.render`.
 
     Raises:
         UserError: an argument is wrong, the run did not store its policies, MuJoCo does not
@@ -161,7 +156,7 @@ def stored_policies(run: SavedRun, seed_directory: Path) -> tuple[dict[int, Path
         raise UserError(f"{seed_directory} is not of a seed that the run has kept a policy of")
     seed = names[seed_directory.name]
     kept = run.kept_iterations[seed]
-    returns = run.metrics["evaluation_return"][run.metrics["seed"] == seed]
+    returns = run.of_seed(seed)["evaluation_return"]
     if kept >= len(returns):
         raise UserError(f"{run.directory / 'metrics.csv'} has no row of the kept iteration {kept}")
     earlier = sorted(iteration for iteration in MILESTONES if iteration < kept)

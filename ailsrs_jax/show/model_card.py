@@ -7,6 +7,7 @@ from typing import NamedTuple
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import Evaluation
+from ailsrs_jax.runs.storage.config import find_run
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 
 LICENSE = re.compile(r"[a-z0-9][a-z0-9.+-]{0,50}")  # the identifiers of the Hugging Face Hub
@@ -26,11 +27,10 @@ def find_origin(policy: SavedPolicy, path: Path) -> Origin | None:
     Raises:
         UserError: the run's files are damaged, or belong to another task.
     """
-    path = path.absolute()
-    folder, directory = re.fullmatch(r"seed_(\d{1,10})", path.parent.name), path.parent.parent
-    if folder is None or not (directory / "config.json").exists():
+    if (found := find_run(path)) is None:
         return None
-    run, seed = read_run(directory), int(folder[1])
+    directory, seed = found
+    run = read_run(directory)
     if run.config["env_id"] != policy.env_id or seed not in run.config["seeds"]:
         raise UserError(
             f"{directory} is a run of {run.config['env_id']} with the seeds {run.config['seeds']}: "
@@ -54,12 +54,7 @@ def model_card(
 ) -> str:
     """Return the card as Markdown, with the metadata that the Hugging Face Hub reads.
 
-    Args:
-        policy: the policy.
-        evaluation: its return.
-        how_evaluated: the physics and the seed of the evaluation, for people.
-        origin: where the policy comes from, if that is known.
-        license_id: the policy's licence, as an identifier of the Hub.
+    ``how_evaluated`` tells people the physics and the seed of ``evaluation``.
     """
     from huggingface_hub import EvalResult, ModelCard, ModelCardData
 

@@ -71,7 +71,7 @@ def results_table(results: SweepResults) -> str:
 def result_tables(results: SweepResults) -> list[Table]:
     """Return the table of interquartile means, a table per task, and what failed or did not run."""
     groups = group_cells(results.cells)
-    tables = _aggregate_tables(groups)
+    tables = aggregate_tables(groups)
     for task in dict.fromkeys(group.env_id for group in groups):
         mine = [group for group in groups if group.env_id == task]
         rows = [[show(group) for show in COLUMNS.values()] for group in mine]
@@ -85,12 +85,7 @@ def result_tables(results: SweepResults) -> list[Table]:
     return tables
 
 
-def aggregates(groups: Sequence[Group], level: int = 2) -> list[str]:
-    """Return the interquartile means as Markdown, below a heading of that level."""
-    return [part for table in _aggregate_tables(groups) for part in markdown_section(table, level)]
-
-
-def _aggregate_tables(groups: Sequence[Group]) -> list[Table]:
+def aggregate_tables(groups: Sequence[Group]) -> list[Table]:
     """Return the table of interquartile means, or nothing where series cannot be compared."""
     common = comparable(groups)
     if not common or not all(common.values()):

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
-from ailsrs_jax.components.policy import LinearPolicy, repeated
-from ailsrs_jax.envs.interface import action_range, env_sizes
+from ailsrs_jax.components.policy import repeated
+from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.rollout import simulate
@@ -93,9 +93,7 @@ def _settings(cell: Cell) -> Any:
 def _steps_per_second(env_id: str, physics: str) -> float:
     """Measure the live steps of episodes with a policy whose actions are zero."""
     env = open_env(env_id, physics).env
-    n, p = env_sizes(env)
-    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
-    policies = repeated(still, TRIAL_EPISODES)
+    policies = repeated(still_policy(env), TRIAL_EPISODES)
     keys = jax.random.split(jax.random.key(0), TRIAL_EPISODES)
     jitted = jax.jit(lambda keys: simulate(env, policies, keys, TRIAL_STEPS).env_steps)
     compiled = jitted.lower(keys).compile()

@@ -18,15 +18,9 @@ def run_on_ray(
 ) -> Iterator[tuple[tuple[Cell, ...], str | None]]:
     """Run ``units`` on the Ray cluster at ``RAY_ADDRESS``, or on this machine if it is not set.
 
-    A unit gets one GPU, or all cores of a node if the cluster has no GPU. All nodes have to see the
-    working directory, ``output`` and the files of demonstrations under the same paths.
-
-    Args:
-        run_unit: trains a unit; called with the unit, ``output``, ``episodes`` and ``track``.
-        units: cells that are trained together.
-        output: the directory of the sweep.
-        episodes: the number of evaluation episodes for each kept policy.
-        track: the tracker of the metrics, if any.
+    ``run_unit`` is called with each unit, ``output``, ``episodes`` and ``track``. A unit gets one
+    GPU, or all cores of a node if the cluster has no GPU. All nodes have to see the working
+    directory, ``output`` and the files of demonstrations under the same paths.
 
     Yields:
         Each unit when it has ended, and the reason if it could not be run.

@@ -136,11 +136,7 @@ def _match(one: Group, other: Group) -> bool:
 
 
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
-    """Compute the mean of the middle half of all scores, with a stratified bootstrap interval.
-
-    Args:
-        strata: The scores (seeds,) of each group.
-    """
+    """Compute the mean of the middle half of all scores; for the interval see :func:`bootstrap`."""
     return bootstrap(strata, lambda scores: stats.trim_mean(scores, proportiontocut=0.25, axis=-1))
 
 
@@ -157,11 +153,8 @@ def bootstrap(
     """Compute a statistic of all scores and its percentile bootstrap interval over seeds.
 
     Seeds are resampled within each stratum, so that tasks keep their weight. There is no interval
-    if a stratum has only one seed.
-
-    Args:
-        strata: The scores (seeds,) of each group.
-        statistic: A function from scores (..., runs) to (...,) or (outputs, ...).
+    if a stratum has only one seed. ``strata`` are the scores (seeds,) of each group, and
+    ``statistic`` is a function from scores (..., runs) to (...,) or (outputs, ...).
     """
     value = statistic(np.concatenate(strata))
     if min(map(len, strata)) < 2:
@@ -181,11 +174,9 @@ def bootstrap(
 
 
 def scores(groups: Iterable[Group], name: str = "normalized") -> list[np.ndarray]:
-    """Return the finite scores (seeds,) of each group that has any.
+    """Return the finite scores (seeds,) of each group that has any, one stratum for each group.
 
-    Args:
-        groups: The groups; each becomes one stratum.
-        name: ``normalized`` or ``normalized_over_training``.
+    ``name`` is ``normalized`` or ``normalized_over_training``.
     """
     measured = [group.values(name) for group in groups]
     measured = [values[np.isfinite(values)] for values in measured]

@@ -7,7 +7,8 @@ from typing import Any, Protocol
 
 from ailsrs_jax.errors import InUseError, UserError, one_line
 from ailsrs_jax.own_code import allow
-from ailsrs_jax.runs.loop import Result, execute
+from ailsrs_jax.runs.loop import execute
+from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.sweeps.cells import Cell, Sweep

@@ -1,8 +1,6 @@
 """The rows of a sweep's tables: what was measured of each cell, and the tables made of all rows."""
 
-import csv
 import functools
-import io
 import json
 import os
 import platform
@@ -20,8 +18,8 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
-from ailsrs_jax.runs.loop import Result
-from ailsrs_jax.runs.storage.metrics import read_metrics
+from ailsrs_jax.runs.storage.journal import Result
+from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table
@@ -191,11 +189,9 @@ def _curves(output: Path, rows: Sequence[TableRow]) -> Iterable[TableRow]:
 
 
 def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS[path.name], extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_atomically(path, text.getvalue())
+    columns = COLUMNS[path.name]
+    fields = ([row.get(name) for name in columns] for row in rows)
+    write_atomically(path, as_csv([columns, *fields]))
 
 
 def ninety_percent(expert_return: float) -> float:

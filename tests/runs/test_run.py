@@ -15,12 +15,12 @@ from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs import run
-from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import read_config
 from ailsrs_jax.runs.storage.directory import claimed
+from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.runs import toy_run

@@ -13,10 +13,11 @@ import numpy as np
 from ailsrs_jax.cli.signals import StopSignals
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.loop import Result, execute
+from ailsrs_jax.runs.loop import execute
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.plan import plan as make_plan
 from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.storage.journal import Result
 from tests.point_mass import PointMass
 
 SEARCH = {"num_directions": 4, "num_top_directions": 2, "episode_length": 20}

@@ -77,7 +77,8 @@ def slider(tmp_path_factory: pytest.TempPathFactory) -> Slider:
 def made_up(num_steps: int, dt: float = 0.05, *, ended: bool = False) -> Replay:
     model = mujoco.MjModel.from_xml_string(SLIDER)
     positions = np.linspace(0, 1, num_steps + 1)[:, None]
-    return Replay(model, positions, np.ones(num_steps), dt, ended)
+    rewards = np.ones(num_steps)
+    return Replay(model=model, positions=positions, env_rewards=rewards, dt=dt, ended=ended)
 
 
 def test_the_episode_is_the_first_that_is_evaluated() -> None:

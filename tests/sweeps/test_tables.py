@@ -9,7 +9,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.runs.evaluation import evaluate_random
-from ailsrs_jax.runs.loop import Result
+from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.sweeps import tables
 from ailsrs_jax.sweeps.spec import expand

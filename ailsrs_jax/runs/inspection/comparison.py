@@ -1,4 +1,4 @@
-"""Runs side by side, by their own records."""
+"""Compare runs by their own records."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -57,16 +57,12 @@ def compare_runs(directories: Sequence[Path]) -> Comparison:
 
 
 def _summary(run: SavedRun, times: np.ndarray) -> RunSummary:
-    metrics, expert = run.metrics, run.comparable_expert_return
+    expert = run.comparable_expert_return
     table = read_metrics(run.directory / "seconds.csv")
     clock = np.cumsum(table["seconds"] + table["compile_seconds"])
     returns, distances, reached, courses = [], [], [], []
-    for seed, kept in run.kept_iterations.items():
-        mine = {name: values[metrics["seed"] == seed] for name, values in metrics.items()}
+    for _, mine, row in run.kept_rows():
         steps, course = mine["env_steps"], mine["evaluation_return"]
-        if kept not in mine["iteration"]:
-            raise UserError(f"{run.directory}: metrics.csv has no iteration {kept} of seed {seed}")
-        row = int(np.flatnonzero(mine["iteration"] == kept)[0])
         returns.append(course[row])
         distances.append(mine.get("expert_distance", course * np.nan)[row])
         courses.append(course[np.clip(np.searchsorted(steps, times, "right") - 1, 0, None)])

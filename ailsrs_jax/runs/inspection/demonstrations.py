@@ -1,4 +1,4 @@
-"""What demonstrations are, before anything is trained on them."""
+"""Describe demonstrations before anything is trained on them."""
 
 import dataclasses
 from typing import Any
@@ -94,8 +94,7 @@ def compare_steps(demonstrations: Demonstrations, env: Env) -> tuple[float, str 
         if difference(step(observations * factor, actions) / factor) <= SAME:
             return found, f"the observations are {1 / factor:.3g} times those of the environment"
     change, recorded = ((x - observations)[:, moving] for x in (predicted, following))
-    products = (np.mean(change * x, axis=0) for x in (change, recorded))
-    power, common = map(np.asarray, products)
+    power, common = (np.mean(change * x, axis=0) for x in (change, recorded))
     correlations = common / np.sqrt(power * np.mean(recorded**2, axis=0) + 1e-20)
     if np.mean(correlations >= ALIKE) < 0.5:
         return found, (
@@ -115,7 +114,7 @@ def compare_steps(demonstrations: Demonstrations, env: Env) -> tuple[float, str 
 
 
 def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some observations, actions and next observations, spread over all episodes."""
+    """Return some observations, actions and next observations, spread over all episodes."""
     alive = np.asarray(demonstrations.alive)
     episode, time = np.nonzero(alive[:, :-1] & alive[:, 1:])
     chosen = np.unique(np.linspace(0, max(len(time) - 1, 0), NUM_PAIRS).astype(int))[: len(time)]
@@ -127,8 +126,8 @@ def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _problems_of_episodes(demonstrations: Demonstrations) -> list[str]:
-    reference = _reference(demonstrations)
-    unlike = unlike_the_others(reference, demonstrations.observations.shape[1], UNLIKE)
+    time_steps = demonstrations.observations.shape[1]
+    unlike = unlike_the_others(_reference(demonstrations), time_steps, UNLIKE)
     if not unlike.any():
         return []
     return [f"episodes are unlike most, maybe falls: {_listed(np.flatnonzero(unlike))}"]
@@ -167,7 +166,7 @@ def _clipped_share(demonstrations: Demonstrations, env: Env) -> float:
 
 
 def _linearity(demonstrations: Demonstrations) -> dict[str, float]:
-    """R² on the last fifth of the steps, of a linear policy fitted to the others."""
+    """Fit linear policies to four fifths of the steps, and return their R² on the last fifth."""
     reference = _reference(demonstrations)
     alive = reference.alive
     order = jnp.cumsum(alive).reshape(alive.shape)
@@ -193,7 +192,7 @@ def _reference(demonstrations: Demonstrations) -> Reference:
 
 
 def _clones(demonstrations: Demonstrations, env: Env) -> dict[str, float]:
-    """Returns of a linear and of a neural clone."""
+    """Return the mean environment return of a linear and of a neural clone."""
     simulator, length = as_simulator(env), demonstrations.time_limit
     common = {"behavior_cloning_start": True, "standardize_with": "expert"}
     common |= {"episode_length": length}

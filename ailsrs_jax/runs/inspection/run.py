@@ -1,13 +1,12 @@
-"""Did a run work? Judged from its own records, without the environment's reward."""
+"""Judge a run by its own records, without the environment's reward."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
+from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.trainers.parts.reference import CLOSE, verdict
 
 WON = 0.9  # the gap of the scores from which the discriminator has won
@@ -24,32 +23,21 @@ class SeedInspection:
     reasons: tuple[str, ...]  # why it is not close, one line each with a figure
 
 
-def inspect_run(directory: Path) -> list[SeedInspection]:
-    """Judge each seed of the run in ``directory`` by the distance of its kept policy.
+def inspect_run(run: SavedRun) -> list[SeedInspection]:
+    """Judge each seed of a run by the distance of its kept policy.
 
     The reasons are those of the table in docs/debugging.md.
 
     Raises:
-        UserError: the directory holds no run, or one of an algorithm that does not imitate.
+        UserError: the algorithm does not imitate, or a row of the metrics is missing.
     """
-    return inspect_saved(read_run(directory))
-
-
-def inspect_saved(run: SavedRun) -> list[SeedInspection]:
-    """Do as :func:`inspect_run` with a run that was read."""
-    directory = run.directory
     if not {"expert_distance", "evaluation_length"} <= set(run.metrics):
-        raise UserError(f"{directory} is of an algorithm that does not measure its distance")
+        raise UserError(f"{run.directory} is of an algorithm that does not measure its distance")
     found = []
-    for seed, kept in run.kept_iterations.items():
-        rows = run.metrics["seed"] == seed
-        metrics = {name: values[rows] for name, values in run.metrics.items()}
-        if kept not in metrics["iteration"]:
-            raise UserError(f"{directory}: metrics.csv has no iteration {kept} of seed {seed}")
-        index = int(np.flatnonzero(metrics["iteration"] == kept)[0])
-        distance = float(metrics["expert_distance"][index])
-        length = run.demonstrated_length
-        why = [] if distance <= CLOSE else list(reasons(metrics, index, length))
+    for seed, metrics, row in run.kept_rows():
+        distance = float(metrics["expert_distance"][row])
+        why = [] if distance <= CLOSE else reasons(metrics, row, run.demonstrated_length)
+        kept = run.kept_iterations[seed]
         found.append(SeedInspection(seed, kept, distance, verdict(distance), tuple(why)))
     return found
 

@@ -10,7 +10,6 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import jax
@@ -51,10 +50,7 @@ class Checkpoints:
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
-        Args:
-            directory: created if necessary.
-            save_every: iterations between checkpoints.
-            about: values that JSON can hold, saved with every checkpoint.
+        ``about`` are values that JSON can hold, which are saved with every checkpoint.
 
         Raises:
             UserError: the directory cannot be written.
@@ -79,12 +75,7 @@ class Checkpoints:
     def __enter__(self) -> "Checkpoints":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *traceback: object) -> None:
         try:
             self._finish_writing()
         except UserError as problem:

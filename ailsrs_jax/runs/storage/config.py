@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
+import re
 import reprlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -87,6 +88,15 @@ def read_config(path: Path) -> dict[str, Any]:
         UserError: it cannot be read, or is not a JSON object.
     """
     return read_json_object(path, "the configuration of a run")
+
+
+def find_run(policy: Path) -> tuple[Path, int] | None:
+    """Return the directory of the run that wrote the file ``policy``, and the seed, if any run."""
+    seed, directory = policy.absolute().parent, policy.absolute().parent.parent
+    found = re.fullmatch(r"seed_(\d{1,10})", seed.name)
+    if found is None or not (directory / "config.json").exists():
+        return None
+    return directory, int(found[1])
 
 
 def require_current(saved: Mapping[str, Any], where: Path) -> None:

@@ -1,16 +1,18 @@
 """Everything that a run writes into its directory while it goes, except for checkpoints."""
 
+import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.config import RunConfig
 from ailsrs_jax.runs.storage.metrics import CsvFile, IterationReport, read_metrics
-from ailsrs_jax.runs.storage.policies import EVALUATED, evaluated_policies, kept_policies
+from ailsrs_jax.runs.storage.policies import EVALUATED, by_seed
 from ailsrs_jax.runs.storage.tensorboard import EventFiles
 from ailsrs_jax.runs.storage.trackers import Tracker
 from ailsrs_jax.trainers.algorithms import find_algorithm
@@ -18,6 +20,18 @@ from ailsrs_jax.trainers.parts.reference import verdict
 
 RESULT_FILE = "result.json"
 SECONDS_COLUMNS = ("iteration", "seconds", "compile_seconds")
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """The result of a run; :func:`~ailsrs_jax.runs.run.train` returns it."""
+
+    config: RunConfig
+    policies: dict[int, SavedPolicy]  #: the kept policy of each seed
+    kept_iterations: dict[int, int]  #: the iteration that each was found in
+    scores: dict[int, float]  #: that each was kept for, such as minus its distance to the expert
+    expert_returns: np.ndarray | None  #: of the episodes that it could draw, if it imitates
+    demonstrated_length: int | None = None  #: the time limit of these [environment steps]
 
 
 class Journal:
@@ -81,63 +95,45 @@ class Journal:
             UserError: they cannot be written.
         """
         name = f"{int(np.max(state.iteration)) - 1}.npz"
-        for seed, policy in evaluated_policies(state, self._config).items():
+        for seed, policy in by_seed(state.kept.offered, self._config).items():
             policy.save(self._directory / f"seed_{seed}" / EVALUATED / name)
 
     def save(
-        self,
-        progress: Mapping[str, Any],
-        *,
-        command: str | None,
-        expert_returns: np.ndarray | None,
-        demonstrated_length: int | None,
-        finished: bool,
+        self, result: Result, steps: Sequence[int], *, command: str | None, finished: bool
     ) -> None:
         """Write the kept policies and ``result.json``.
 
-        Args:
-            progress: ``state``, the training state, and ``steps``, the live steps of each seed.
-            command: the command line that makes the run again, if there is one.
-            expert_returns: of the episodes that the demonstrations were drawn from, if any.
-            demonstrated_length: their time limit in environment steps.
-            finished: no iteration is left.
+        ``steps`` are the live steps of each seed. ``command`` makes the run again, if there is such
+        a command line.
 
         Raises:
             UserError: they cannot be written.
         """
-        state, seeds = progress["state"], self._config.seeds
-        for seed, policy in kept_policies(state, self._config).items():
-            policy.save(self._directory / f"seed_{seed}" / "policy.npz")
-        steps, iterations, scores = (
-            np.asarray(each).tolist()
-            for each in (progress["steps"], state.kept.iteration, state.kept.score)
-        )
         expert = None
-        if expert_returns is not None:
+        if result.expert_returns is not None:
             expert = {
-                "mean": float(expert_returns.mean()),
-                "std": float(expert_returns.std()),
-                "episode_length": demonstrated_length,
+                "mean": float(result.expert_returns.mean()),
+                "std": float(result.expert_returns.std()),
+                "episode_length": result.demonstrated_length,
             }
         is_distance = find_algorithm(self._config.algorithm).kept_by == "expert_distance"
-
-        def about(iteration: int, score: float) -> dict[str, Any]:
-            kept = {"kept_iteration": iteration, "score": score}
-            return kept | ({"verdict": verdict(-score)} if is_distance else {})
-
-        result = {
+        seeds: dict[int, dict[str, Any]] = {}
+        for seed, policy in result.policies.items():
+            policy.save(self._directory / f"seed_{seed}" / "policy.npz")
+            score = result.scores[seed]
+            if math.isfinite(score):  # else no policy has had a score yet
+                seeds[seed] = {"kept_iteration": result.kept_iterations[seed], "score": score}
+                if is_distance:
+                    seeds[seed]["verdict"] = verdict(-score)
+        content = {
             "command": command,
             "finished": finished,
-            "env_steps": dict(zip(seeds, steps, strict=True)),
+            "env_steps": dict(zip(self._config.seeds, np.asarray(steps).tolist(), strict=True)),
             "seconds": self._seconds,
             "expert_return": expert,
-            "seeds": {
-                seed: about(iteration, score)
-                for seed, iteration, score in zip(seeds, iterations, scores, strict=True)
-                if math.isfinite(score)  # else no policy has had a score yet
-            },
+            "seeds": seeds,
         }
-        write_json(self._directory / RESULT_FILE, result)
+        write_json(self._directory / RESULT_FILE, content)
 
     def close(self) -> None:
         """Close the event files, and wait until the tracker has all rows."""

@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,21 +31,16 @@ class IterationReport:
         """Whether this is the last iteration of the run."""
         return self.finished or self.iteration + 1 == self.num_iterations
 
+    @property
+    def divergence(self) -> UserError | None:
+        """The error if most episodes of this iteration diverged, over all seeds; else None."""
+        episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
+        return _divergence(self.iteration, episodes, diverged)
+
     def require_most_finite(self) -> None:
         """Raise UserError if most episodes of this iteration diverged, over all seeds."""
-        episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
-        require_most_finite(self.iteration, episodes, diverged)
-
-
-def require_most_finite(iteration: int, episodes: int, diverged: int) -> None:
-    """Raise UserError if most episodes diverged, because too little is left to learn from."""
-    if 2 * diverged > episodes:
-        raise UserError(
-            f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
-            "(observations, actions or rewards that are not finite, or beyond 1e10): the physics "
-            "is unstable under these policies; a smaller timestep or noise_std, or less stiffness "
-            "or gain in the model, may help"
-        )
+        if (error := self.divergence) is not None:
+            raise error
 
 
 class CsvFile:
@@ -54,9 +49,7 @@ class CsvFile:
     def __init__(self, path: Path, keys: Sequence[Sequence[int]]) -> None:
         """Keep the rows that begin with ``keys``, and drop those that a killed process added.
 
-        Args:
-            path: the file.
-            keys: the first columns of each row that has to be there, in order.
+        ``keys`` are the first columns of each row that has to be there, in order.
 
         Raises:
             UserError: a row is missing or damaged, or the file cannot be written.
@@ -74,7 +67,7 @@ class CsvFile:
                     f"file, or delete {path.parent / 'checkpoints'} to start over"
                 )
         self._has_header = bool(kept)
-        write_atomically(path, _as_csv(kept))
+        write_atomically(path, as_csv(kept))
 
     def append(
         self, columns: Sequence[str], rows: Sequence[Sequence[Any]], *, to_disk: bool = False
@@ -91,7 +84,7 @@ class CsvFile:
             self._has_header = True
         try:
             with self._path.open("ab") as file:
-                file.write(_as_csv(lines))
+                file.write(as_csv(lines))
                 if to_disk:
                     file.flush()
                     os.fsync(file.fileno())
@@ -135,17 +128,25 @@ def earlier_divergence(path: Path) -> UserError | None:
     metrics = read_metrics(path)
     iterations = metrics["iteration"].astype(int)
     episodes, diverged = (
-        np.bincount(iterations, metrics[name]) for name in ("episodes", "diverged")
+        np.bincount(iterations, metrics[name]).astype(int) for name in ("episodes", "diverged")
     )
-    for iteration in np.flatnonzero(diverged):
-        try:
-            require_most_finite(int(iteration), int(episodes[iteration]), int(diverged[iteration]))
-        except UserError as error:
-            return error
-    return None
+    errors = map(_divergence, range(len(episodes)), episodes, diverged)
+    return next(filter(None, errors), None)
 
 
-def _as_csv(rows: Sequence[Sequence[str]]) -> bytes:
+def _divergence(iteration: int, episodes: int, diverged: int) -> UserError | None:
+    if 2 * diverged <= episodes:
+        return None  # enough is left to learn from
+    return UserError(
+        f"stopped: {diverged} of {episodes} episodes of iteration {iteration} diverged "
+        "(observations, actions or rewards that are not finite, or beyond 1e10): the physics is "
+        "unstable under these policies; a smaller timestep or noise_std, or less stiffness or gain "
+        "in the model, may help"
+    )
+
+
+def as_csv(rows: Iterable[Sequence[Any]]) -> bytes:
+    """Return the content of a CSV file; None becomes an empty field."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()

@@ -1,7 +1,6 @@
 """Policies of a training state, as they are saved."""
 
 import dataclasses
-from typing import Any
 
 import jax
 import numpy as np
@@ -37,17 +36,8 @@ def saved_policy(policy: Policy, env_id: str) -> SavedPolicy:
     return SavedLinearPolicy(**fields, env_id=env_id)
 
 
-def kept_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
-    """Return the kept policy of each seed, from the training state of all seeds."""
-    return _by_seed(state.kept.policy, config)
-
-
-def evaluated_policies(state: Any, config: RunConfig) -> dict[int, SavedPolicy]:
-    """Return the policy of each seed that the last iteration has evaluated."""
-    return _by_seed(state.kept.offered, config)
-
-
-def _by_seed(policies: Policy, config: RunConfig) -> dict[int, SavedPolicy]:
+def by_seed(policies: Policy, config: RunConfig) -> dict[int, SavedPolicy]:
+    """Return the policy of each seed, from ``policies`` with a leading axis for all seeds."""
     policies = jax.tree.map(np.asarray, policies)
 
     def of_lane(index: int) -> SavedPolicy:

@@ -31,10 +31,8 @@ def is_first_process() -> bool:
 def together(fingerprint: int = 0) -> Iterator[None]:
     """Wait for all processes at the end of the block, and fail in all if one fails.
 
-    Without this the other processes would wait forever for the one that failed.
-
-    Args:
-        fingerprint: of the work to be done, which must be equal in all processes.
+    Without this the other processes would wait forever for the one that failed. The ``fingerprint``
+    of the work to be done must be equal in all of them.
 
     Raises:
         UserError: the block raised it, the block failed in another process, or fingerprints differ.

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import reprlib
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,26 @@ class SavedRun:
         """The expert's return, if its episodes were as long as those of the run."""
         mine, length = self.config["settings"].get("episode_length"), self.demonstrated_length
         return self.expert_return if length in (None, mine) else None
+
+    def of_seed(self, seed: int) -> dict[str, np.ndarray]:
+        """Return the metrics of one seed, with a row for each iteration."""
+        mine = self.metrics["seed"] == seed
+        return {name: values[mine] for name, values in self.metrics.items()}
+
+    def kept_rows(self) -> Iterator[tuple[int, dict[str, np.ndarray], int]]:
+        """Yield each seed that has kept a policy, its metrics, and the row of that policy in them.
+
+        Raises:
+            UserError: there is no such row.
+        """
+        for seed, kept in self.kept_iterations.items():
+            metrics = self.of_seed(seed)
+            rows = np.flatnonzero(metrics["iteration"] == kept)
+            if not len(rows):
+                raise UserError(
+                    f"{self.directory}: metrics.csv has no iteration {kept} of seed {seed}"
+                )
+            yield seed, metrics, int(rows[0])
 
     def without_folder(self) -> "SavedRun":
         """Return the run without the folder of its demonstrations, which is private."""

@@ -35,13 +35,10 @@ class EventFiles:
     """
 
     def __init__(self, output: Path, config: RunConfig, steps: Sequence[int]) -> None:
-        """Begin a new file for each seed.
+        """Begin a new file for each seed in the run directory ``output``.
 
-        Args:
-            output: the run directory.
-            config: the configuration of the run.
-            steps: the environment steps done with each seed. TensorBoard forgets all points that an
-                earlier process wrote beyond them.
+        ``steps`` are the environment steps done with each seed. TensorBoard forgets all points that
+        an earlier process wrote beyond them.
         """
         self._writers: list[RecordWriter] = []
         with self._guarded():

@@ -48,11 +48,9 @@ class Tracker:
     """
 
     def __init__(self, name: str, directory: Path) -> None:
-        """Begin or resume the run, and send the rows of ``metrics.csv`` that the tracker lacks.
+        """Begin or resume the run in ``directory``, and send the rows that the tracker lacks.
 
-        Args:
-            name: ``wandb`` or ``trackio``.
-            directory: the run directory, with ``config.json`` and ``metrics.csv``.
+        The directory holds ``config.json`` and ``metrics.csv``.
         """
         self._name = name
         self._opened: dict[int, Opened] = {}  # by seed, in the order of the configuration

@@ -31,14 +31,9 @@ def frames_of(
 ) -> np.ndarray:
     """Return ``(T, H, W, 3)`` uint8: the episodes after each of ``steps`` steps, side by side.
 
-    Args:
-        replays: the episodes.
-        labels: the left half of the caption of each.
-        steps: increasing numbers of environment steps.
-        size: height and width of each picture in pixels.
-        watch: called after each picture.
-        facts: the right half of the caption of each; by default the return so far and the time.
-        colors: of the labels.
+    Each picture is ``size`` pixels high and wide. The caption above it is a label, in its color,
+    and a fact, which is by default the return so far and the time. ``watch`` is called after each
+    picture.
 
     Raises:
         UserError: there is no renderer.

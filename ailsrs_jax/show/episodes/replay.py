@@ -27,12 +27,10 @@ from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.workers.episode import begin, make
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Replay:
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Episode:
     """An episode of T live steps."""
 
-    model: mujoco.MjModel
-    positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], from the initial pose on
     env_rewards: np.ndarray  # (T,)
     dt: float  # [s] of an environment step
     ended: bool  # in a terminal state, before the time limit
@@ -43,21 +41,21 @@ class Replay:
         return len(self.env_rewards)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Film:
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Replay(Episode):
+    """An episode that MuJoCo draws."""
+
+    model: mujoco.MjModel
+    positions: np.ndarray  # (T + 1, nq) MuJoCo's qpos [m, rad], from the initial pose on
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Film(Episode):
     """An episode of an environment of Gymnasium, which draws itself."""
 
     name: str  # for gymnasium.make
     actions: np.ndarray  # (T, p)
     seed: int
-    env_rewards: np.ndarray  # (T,)
-    dt: float  # [s] of an environment step
-    ended: bool  # before the time limit
-
-    @property
-    def num_steps(self) -> int:
-        """T, the number of live steps."""
-        return len(self.env_rewards)
 
     def pictures(self, steps: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield what the environment draws after each of the increasing ``steps``, uint8.
@@ -118,13 +116,9 @@ def replay(
 ) -> Replay | Film:
     """Roll out one episode: the first that ``evaluate`` simulates on the same engine.
 
-    Args:
-        policy: the policy.
-        env: an environment that MuJoCo simulates; by default the task that the policy names.
-        physics: ``auto``, ``mjx`` or ``mujoco``, for a task given by its name.
-        seed: seed of the initial state.
-        seconds: simulated time after which the episode is cut off.
-        episode_length: its time limit in environment steps; by default the environment's own.
+    It is cut off after ``seconds`` of simulated time, or after ``episode_length`` environment
+    steps, by default the environment's own limit. The other arguments are those of
+    :func:`~ailsrs_jax.show.video.render`.
 
     Raises:
         UserError: the task is unknown or not simulated by MuJoCo, the policy does not fit it, or

@@ -37,7 +37,7 @@ def draw_run(run: SavedRun, colors: Mapping[str, str]) -> Chart:
         if column == "evaluation_return" and run.imitates:
             label = "return, not trained on"
         lines = []
-        for seed, mine in by_seed(run.metrics).items():
+        for seed, mine in by_seed(run).items():
             name, steps = seed_name(seed), mine["env_steps"] / 1e6
             at = mine["iteration"] == run.kept_iterations.get(seed)
             lines += _score_lines(name, mine) if column == "policy_score" else []

@@ -11,7 +11,7 @@ from ailsrs_jax.envs.registry import TASKS, is_gymnasium
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import Evaluation, evaluation_episodes
 from ailsrs_jax.runs.horizon import saved_horizon
-from ailsrs_jax.runs.inspection.run import SeedInspection, inspect_saved
+from ailsrs_jax.runs.inspection.run import SeedInspection, inspect_run
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.curves import by_seed
 from ailsrs_jax.show.reports.charts import colors_of
@@ -97,7 +97,7 @@ def _evaluate(
 def _inspect(run: SavedRun) -> dict[int, SeedInspection]:
     """Judge each seed by its distance to the expert, if the run has measured it."""
     try:
-        return {each.seed: each for each in inspect_saved(run)}
+        return {each.seed: each for each in inspect_run(run)}
     except UserError:
         return {}
 
@@ -174,7 +174,7 @@ def _seed_table(
     measured = {name: title for name, title in MEASURES.items() if name in run.metrics}
     header = ["seed", "return", "of the expert", "verdict", "steps", "length", "kept at iteration"]
     rows = []
-    for seed, mine in by_seed(run.metrics).items():
+    for seed, mine in by_seed(run).items():
         kept, evaluation = run.kept_iterations.get(seed), evaluations.get(seed)
         at = np.flatnonzero(mine["iteration"] == kept)
         rows.append(

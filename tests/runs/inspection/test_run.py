@@ -8,6 +8,7 @@ import pytest
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.inspection.run import inspect_run, reasons
+from ailsrs_jax.runs.storage.saved_run import read_run
 from tests.runs.toy_run import SEEDS, plan, run
 
 HEALTHY: dict[str, Any] = {
@@ -43,7 +44,7 @@ def test_reasons_why_a_policy_is_not_close(changes: dict[str, Any], told: str | 
 
 def test_a_run_is_judged(in_tmp_path: Path) -> None:
     result = run(plan(3, "ailsrs"), Path("out"))
-    found = inspect_run(Path("out"))
+    found = inspect_run(read_run(Path("out")))
     assert [seed.seed for seed in found] == list(SEEDS)
     for seed in found:
         assert seed.distance == pytest.approx(-result.scores[seed.seed], rel=1e-5)
@@ -51,7 +52,7 @@ def test_a_run_is_judged(in_tmp_path: Path) -> None:
     path = Path("out/metrics.csv")
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
     with pytest.raises(UserError, match=r"metrics.csv has no iteration \d of seed \d"):
-        inspect_run(Path("out"))
+        inspect_run(read_run(Path("out")))
     run(plan(2, "ars"), Path("rewarded"))
     with pytest.raises(UserError, match="does not measure its distance"):
-        inspect_run(Path("rewarded"))
+        inspect_run(read_run(Path("rewarded")))

@@ -11,9 +11,9 @@ import pytest
 from ailsrs_jax.data.demonstrations import save_demonstrations
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.loop import Result
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.storage.saved_run import read_run
 from tests.point_mass import PointMass, point_mass_demonstrations

@@ -22,6 +22,7 @@ lint: $(VENV)/installed
 
 docs: $(VENV)/installed
 	$(VENV)/bin/sphinx-build -W --keep-going -q -c docs . site
+	-$(VENV)/bin/ailsrs render docs/gallery/hopper-ten-demonstrations.npz --play --output site/docs/play.html
 	@echo site/index.html
 
 # Optional: compare with GAIL of another package, which gets its own environment.

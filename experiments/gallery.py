@@ -31,7 +31,7 @@ and 1 is the expert. The scores are of 100 episodes in Gymnasium, from the table
 [results](../experiments/RESULTS.md).
 
 A policy is a small file: `ail.load_policy("hopper.npz")` needs only NumPy to act. On the site that
-`make docs` builds where `npm` is installed, you can [push Hopper yourself](play.html).
+`make docs` builds where `npm` is installed, you can <a href="play.html">push Hopper yourself</a>.
 
 `python -m experiments.gallery` wrote this page and its files. A command gives the same policy on
 the same processor and with the same versions, else [one that is about as

@@ -19,11 +19,7 @@ class Interrupted(Exception):  # noqa: N818  (not an error)
     """A function on the host has ended early, and has no result."""
 
 
-def _never() -> bool:
-    return False
-
-
-_stop: Callable[[], bool] = _never
+_stop: Callable[[], bool] | None = None
 _problems: list[list[Exception]] = []  # one list for each block of host_errors
 
 
@@ -40,9 +36,14 @@ def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
             if not _problems:
                 raise
             _problems[-1].append(error)
-            return jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+            return zeros(types)
 
     return jax.pure_callback(call, types, *arguments)
+
+
+def zeros(types: Any) -> Any:
+    """Return zeros of these ``types``, as NumPy arrays."""
+    return jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
 
 
 @contextlib.contextmanager
@@ -72,4 +73,4 @@ def interruptible(stop: Callable[[], bool]) -> Iterator[None]:
 
 def interrupted() -> bool:
     """Whether somebody has asked for a stop."""
-    return _stop()
+    return _stop is not None and _stop()

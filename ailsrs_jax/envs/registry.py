@@ -100,14 +100,14 @@ def open_env(
 ) -> OpenEnv:
     """Return the environment called ``env``, or ``env`` itself if it is one, after checking it.
 
-    From then on files may name it, too. A name out of a file has to pass :func:`require_harmless`
-    before.
+    From then on files may name it, too. A name that comes from a file must first pass
+    :func:`require_harmless`.
 
     Args:
         env: a task by name; a Brax environment; or a function that makes one of Gymnasium.
         physics: see :func:`make_env`.
-        workers: for an environment of Gymnasium; see :class:`GymnasiumEnv`.
-        worker_timeout: in the same way.
+        workers: see :class:`GymnasiumEnv`; only for an environment of Gymnasium.
+        worker_timeout: see :class:`GymnasiumEnv`, too.
 
     Raises:
         UserError: it is unknown, cannot be trained in, or does not let ``physics`` be chosen.

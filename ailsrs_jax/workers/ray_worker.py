@@ -18,7 +18,7 @@ class _Actor:
     def answer(self, request: Any) -> Any:
         if isinstance(self._envs, Failure):
             return self._envs
-        return attempt(self._envs.facts) if request is None else attempt(self._envs.answer, request)
+        return self._envs.facts if request is None else attempt(self._envs.answer, request)
 
 
 class RayWorker:

@@ -6,7 +6,6 @@ import numpy as np
 
 from ailsrs_jax.workers.episode import (
     Episode,
-    Facts,
     Perceptron,
     Request,
     begin,
@@ -63,11 +62,8 @@ class Environments:
     def __init__(self, name: Any) -> None:
         """Make an environment; see :func:`~ailsrs_jax.workers.episode.make`."""
         self._name, self._env = name, make(name)
+        self.facts = describe(self._env, name)
         self._running: dict[int, Running] = {}
-
-    def facts(self) -> Facts:
-        """Return the facts about the environment."""
-        return describe(self._env, self._name)
 
     def answer(self, request: Request | SegmentRequest) -> Episode | Segment:
         """Run an episode or a segment."""

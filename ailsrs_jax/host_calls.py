@@ -16,7 +16,7 @@ POLL_SECONDS = 0.1  # how often functions on the host ask
 
 
 class Interrupted(Exception):  # noqa: N818  (not an error)
-    """A function on the host has ended early, and has no result."""
+    """A function on the host has ended early, without a result."""
 
 
 _stop: Callable[[], bool] | None = None
@@ -48,7 +48,7 @@ def zeros(types: Any) -> Any:
 
 @contextlib.contextmanager
 def host_errors() -> Iterator[None]:
-    """Raise the first exception of a host function of the block, which waits for its results."""
+    """Raise the first exception of host functions in the block, which waits for their results."""
     problems: list[Exception] = []
     _problems.append(problems)
     try:

@@ -28,8 +28,9 @@ def load_minari(
     """Read a Minari dataset, which is downloaded first if it is not on this machine.
 
     An episode that ended neither in a terminal state nor at the environment's time limit was cut
-    off. It is left out, because its end is unknown. Without a time limit all episodes ended in a
-    terminal state; the demonstrations' is then twice the length of the longest in the dataset.
+    off. It is left out, because its end is unknown. If the environment has no time limit, all
+    episodes ended in a terminal state. The time limit of the demonstrations is then twice the
+    length of the longest episode in the dataset.
 
     Args:
         dataset_id: for example ``mujoco/hopper/expert-v0``.

@@ -28,7 +28,7 @@ class SavedPolicy(ABC):
     action_low: np.ndarray  # (p,)
     action_high: np.ndarray  # (p,)
     env_id: str
-    #: steps of an episode in the run that trained it; None if unknown, because no file holds it
+    #: steps of an episode in the run that trained it; None for a policy from a file
     episode_length: int | None = None
 
     def __call__(

@@ -160,8 +160,8 @@ def takes_physics(name: str) -> bool:
 def require_harmless(env_id: str, source: str, option: str = "--env") -> None:
     """Raise UserError unless it is safe to look up and call ``env_id``, which a file names.
 
-    Safe are this package's tasks, environments that are registered with Gymnasium without a module
-    in their name, and what the user has named in this process; see :func:`open_env`.
+    These are safe: this package's tasks, environments that are registered with Gymnasium without a
+    module in their name, and what the user has named in this process; see :func:`open_env`.
     """
     registered_id = env_id.removeprefix(PREFIX)
     if is_gymnasium(env_id) and ":" not in registered_id and registered_id in gymnasium.registry:

@@ -25,7 +25,7 @@ class RayWorker:
     """Answers one request at a time; see :class:`~ailsrs_jax.workers.process.ProcessWorker`."""
 
     def __init__(self, name: Any, log: IO[bytes]) -> None:
-        """Start the actor; its first answer are the facts about the environment."""
+        """Start the actor; its first answer holds the facts about the environment."""
         del log  # Ray has its own
         if not ray.is_initialized():
             with warnings.catch_warnings():

@@ -55,7 +55,7 @@ class Environments:
     """The environments of a worker: one for whole episodes, and one for each place of segments.
 
     A segment goes on with an episode that its seed and its actions determine. The environment of
-    its place usually is where they lead to. Otherwise they are played again, so that the result
+    its place usually stands there already. If not, the actions are played again, so that the result
     does not depend on the worker.
     """
 

@@ -16,14 +16,10 @@ POLL_SECONDS = 0.1  # how often functions on the host ask
 
 
 class Interrupted(Exception):  # noqa: N818  (not an error)
-    """A function on the host has ended early, and has no result."""
+    """A function on the host has ended early, without a result."""
 
 
-def _never() -> bool:
-    return False
-
-
-_stop: Callable[[], bool] = _never
+_stop: Callable[[], bool] | None = None
 _problems: list[list[Exception]] = []  # one list for each block of host_errors
 
 
@@ -40,14 +36,19 @@ def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
             if not _problems:
                 raise
             _problems[-1].append(error)
-            return jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+            return zeros(types)
 
     return jax.pure_callback(call, types, *arguments)
 
 
+def zeros(types: Any) -> Any:
+    """Return zeros of these ``types``, as NumPy arrays."""
+    return jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+
+
 @contextlib.contextmanager
 def host_errors() -> Iterator[None]:
-    """Raise the first exception of a host function of the block, which waits for its results."""
+    """Raise the first exception of host functions in the block, which waits for their results."""
     problems: list[Exception] = []
     _problems.append(problems)
     try:
@@ -72,4 +73,4 @@ def interruptible(stop: Callable[[], bool]) -> Iterator[None]:
 
 def interrupted() -> bool:
     """Whether somebody has asked for a stop."""
-    return _stop()
+    return _stop is not None and _stop()

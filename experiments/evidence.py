@@ -11,12 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 
 from ailsrs_jax.sweeps.results import SweepResults
-from ailsrs_jax.sweeps.statistics import (
-    Group,
-    group_cells,
-    mean_curve,
-    smoothed,
-)
+from ailsrs_jax.sweeps.statistics import Group, group_cells, mean_curve, smoothed
 
 # The sweeps, experiments/NAME.toml.
 FIGURE_2, FIGURE_3, ABLATIONS, HARD = "paper", "curves", "ablations", "ant_humanoid"

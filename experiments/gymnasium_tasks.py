@@ -4,9 +4,8 @@ usage: python -m experiments.gymnasium_tasks [TASK...]    (writes gymnasium_task
 
 Needs ``pip install "gymnasium[box2d]" "shimmy[dm-control]"``. Each task has a controller that is
 written here, or trained by augmented random search on the reward. Ten of its episodes are
-demonstrations for the preset ``tuned``. A score of 0 is the return of noise
-or of no action, whichever is better, and 1 the controller's.
-Results of other tasks stay in the file.
+demonstrations for the preset ``tuned``. A score of 0 is the return of noise or of no action,
+whichever is better, and 1 the controller's. Results of other tasks stay in the file.
 """
 
 import functools

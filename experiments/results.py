@@ -38,12 +38,8 @@ EXPERIMENTS = Path(__file__).parent
 RESULTS = EXPERIMENTS / "results"
 PAGE = EXPERIMENTS / "RESULTS.md"
 TABLES = ("results.csv", "curves.csv", "timings.csv")
-FIGURES = (
-    "figure_2",
-    "figure_3_ailsrs",
-    "scores",
-    "profiles",
-)  # shown on the page; the folder has more
+# Those shown on the page; the folder has more.
+FIGURES = ("figure_2", "figure_3_ailsrs", "scores", "profiles")
 VERDICTS = ("reproduced", "partly", "not", "not yet run")
 
 INTRODUCTION = """\

@@ -10,12 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ailsrs_jax.show.sweep_report import estimate, plus_minus
-from ailsrs_jax.sweeps.statistics import (
-    Group,
-    interquartile_mean,
-    median_reached,
-    scores,
-)
+from ailsrs_jax.sweeps.statistics import Group, interquartile_mean, median_reached, scores
 from experiments.evidence import (
     ABLATIONS,
     CHEETAH,

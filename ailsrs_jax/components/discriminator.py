@@ -13,9 +13,6 @@ from flax import linen as nn
 EXPERT_LABEL = 1.0
 POLICY_LABEL = 0.0
 
-LogitFunction = Callable[[jax.Array], jax.Array]  # inputs (..., d) → logits (...)
-
-
 HIDDEN_SIZES = (100, 100)
 
 
@@ -28,8 +25,7 @@ class Discriminator(nn.Module):
         hidden = inputs
         for size in HIDDEN_SIZES:
             hidden = nn.tanh(nn.Dense(size)(hidden))
-        logits: jax.Array = nn.Dense(1)(hidden).squeeze(-1)
-        return logits
+        return nn.Dense(1)(hidden).squeeze(-1)
 
 
 def least_squares_loss(policy_logits: jax.Array, expert_logits: jax.Array) -> jax.Array:
@@ -53,7 +49,7 @@ def entropy(logits: jax.Array) -> jax.Array:
 
 
 def gradient_penalty(
-    logit_function: LogitFunction,
+    logit_function: Callable[[jax.Array], jax.Array],
     policy_inputs: jax.Array,
     expert_inputs: jax.Array,
     key: jax.Array,
@@ -62,6 +58,7 @@ def gradient_penalty(
 
     The penalty bounds the slope of the score between policy and expert. So the reward stays
     informative when the two are easy to tell apart (Thanh-Tung et al., 2019).
+    ``logit_function`` takes one input ``(d,)``.
     """
     fractions = jax.random.uniform(key, (policy_inputs.shape[0], 1))
     points = fractions * policy_inputs + (1.0 - fractions) * expert_inputs

@@ -39,11 +39,8 @@ def affine_regression(inputs: jax.Array, targets: jax.Array, mask: jax.Array) ->
         targets: ``(..., p)`` y.
         mask: ``(...)`` bool, the samples that count.
     """
-    x, y, mask = (
-        inputs.reshape(-1, inputs.shape[-1]),
-        targets.reshape(-1, targets.shape[-1]),
-        (mask.ravel()),
-    )
+    x, y = (array.reshape(-1, array.shape[-1]) for array in (inputs, targets))
+    mask = mask.ravel()
     fold = (jnp.cumsum(mask) - 1) * NUM_FOLDS // jnp.maximum(mask.sum(), 1)
 
     def fit(mask: jax.Array, penalty: jax.Array) -> jax.Array:

@@ -36,8 +36,7 @@ class LinearPolicy(struct.PyTreeNode):
 
     def with_weights(self, weights: jax.Array) -> "LinearPolicy":
         """Return the batch of policies with these ``weights (B, p, n)`` and its statistics."""
-        batch: LinearPolicy = repeated(self, len(weights))
-        return batch.replace(weights=weights)
+        return repeated(self, len(weights)).replace(weights=weights)
 
 
 class MlpPolicy(struct.PyTreeNode):
@@ -107,7 +106,6 @@ class KeptPolicy(struct.PyTreeNode):
         """Keep ``policy`` instead if its score is higher; NaN is never higher."""
         candidate = KeptPolicy(policy, score, iteration, policy)
         better = score > self.score
-        kept: KeptPolicy
         kept = jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
         return kept.replace(offered=policy)
 

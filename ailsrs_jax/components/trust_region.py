@@ -49,7 +49,6 @@ def generalized_advantages(
         advantage = error + discount * decay * jnp.where(over, 0.0, following)
         return advantage, advantage
 
-    advantages: jax.Array
     _, advantages = jax.lax.scan(backwards, jnp.zeros_like(errors[0]), (errors, over), reverse=True)
     return advantages
 

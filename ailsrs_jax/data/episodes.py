@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +28,9 @@ def load_minari(
     """Read a Minari dataset, which is downloaded first if it is not on this machine.
 
     An episode that ended neither in a terminal state nor at the environment's time limit was cut
-    off. It is left out, because its end is unknown. Without a time limit all episodes ended in a
-    terminal state; the demonstrations' is then twice the length of the longest in the dataset.
+    off. It is left out, because its end is unknown. If the environment has no time limit, all
+    episodes ended in a terminal state. The time limit of the demonstrations is then twice the
+    length of the longest episode in the dataset.
 
     Args:
         dataset_id: for example ``mujoco/hopper/expert-v0``.
@@ -47,9 +47,10 @@ def load_minari(
     """
     source = f"minari:{dataset_id}"
     time_limit, pairs = read_minari(dataset_id, env_id)
-    read = _collect(pairs, num_trajectories, source, to_the_end=time_limit is None)
-    num_steps = time_limit or 2 * read.longest
-    return stack(read.episodes, num_steps, env_id, source), read.num_left_out
+    episodes, num_left_out, longest = _collect(
+        pairs, num_trajectories, source, to_the_end=time_limit is None
+    )
+    return stack(episodes, time_limit or 2 * longest, env_id, source), num_left_out
 
 
 def save_minari(recording: Recording, dataset_id: str) -> None:
@@ -100,9 +101,9 @@ def load_imitation(
         UserError: it is not such a directory, pyarrow is not installed, or the contents contradict
             one another.
     """
-    pairs = read_imitation(Path(directory))
-    read = _collect(pairs, num_trajectories, str(directory), to_the_end=True)
-    return stack(read.episodes, read.longest, env_id, str(directory)), read.num_left_out
+    pairs, source = read_imitation(Path(directory)), str(directory)
+    episodes, num_left_out, longest = _collect(pairs, num_trajectories, source, to_the_end=True)
+    return stack(episodes, longest, env_id, source), num_left_out
 
 
 def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str) -> Demonstrations:
@@ -133,22 +134,19 @@ def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str)
     return validated(fields, source)
 
 
-class _Episodes(NamedTuple):
-    """Whole episodes of a source."""
-
-    episodes: list[Episode]  # the first ones
-    num_left_out: int  # cut-off ones among them
-    longest: int  # [steps] of all whole episodes that were read
-
-
 def _collect(
     pairs: Iterable[tuple[Episode, bool]],
     num_trajectories: int | None,
     source: str,
     *,
     to_the_end: bool,
-) -> _Episodes:
-    """Read the first whole episodes, and ``to_the_end`` the lengths of the others."""
+) -> tuple[list[Episode], int, int]:
+    """Read the first whole episodes, and ``to_the_end`` the lengths of the others.
+
+    Returns:
+        the first whole episodes, the number of cut-off ones among them, and the most steps of all
+        whole episodes that were read.
+    """
     episodes: list[Episode] = []
     num_left_out = longest = 0
     for episode, is_whole in pairs:
@@ -163,4 +161,4 @@ def _collect(
             break
     if not episodes:
         raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
-    return _Episodes(episodes, num_left_out, longest)
+    return episodes, num_left_out, longest

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ailsrs_jax.data.formats.policy import read_policy, require_format
+from ailsrs_jax.data.formats.policy import Layers, read_policy, require_format
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import write_atomically
 
@@ -28,7 +28,7 @@ class SavedPolicy(ABC):
     action_low: np.ndarray  # (p,)
     action_high: np.ndarray  # (p,)
     env_id: str
-    #: steps of an episode in the run that trained it; None if unknown, because no file holds it
+    #: steps of an episode in the run that trained it; None for a policy from a file
     episode_length: int | None = None
 
     def __call__(
@@ -93,7 +93,7 @@ class SavedPolicy(ABC):
 
     @property
     @abstractmethod
-    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    def layers(self) -> Layers:
         """Weights ``(out, in)`` and biases ``(out,)`` of each layer; a linear policy has one."""
 
     @property
@@ -140,8 +140,8 @@ class SavedPolicy(ABC):
                 file cannot be written.
         """
         path = Path(path)
-        content = require_format(path).encode(self._arrays(), {"env_id": self.env_id})
-        write_atomically(path, content)
+        encode = require_format(path).encode
+        write_atomically(path, encode(self._arrays(), self.layers, {"env_id": self.env_id}))
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """The fields of the file except ``env_id``."""
@@ -156,7 +156,7 @@ class SavedLinearPolicy(SavedPolicy):
     weights: np.ndarray  # (p, n)
 
     @property
-    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    def layers(self) -> Layers:
         """The weights, and biases of zero."""
         return ((self.weights, np.zeros_like(self.weights[:, 0])),)
 
@@ -176,7 +176,7 @@ class SavedMlpPolicy(SavedPolicy):
         return self.action_std
 
     @property
-    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    def layers(self) -> Layers:
         """Weights and biases of each layer."""
         return tuple(zip(self.weights, self.biases, strict=True))
 

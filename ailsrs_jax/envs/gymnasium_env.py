@@ -12,9 +12,10 @@ import numpy as np
 from flax import struct
 
 from ailsrs_jax.envs.physics import Perceptrons, Segments, Trajectories
+from ailsrs_jax.envs.physics.base import segment_types, trajectory_types
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.host_calls import host_call
+from ailsrs_jax.host_calls import host_call, zeros
 from ailsrs_jax.workers.episode import Perceptron, Request
 from ailsrs_jax.workers.pool import Pool
 from ailsrs_jax.workers.process import ProcessWorker
@@ -33,7 +34,7 @@ class GymnasiumStart(struct.PyTreeNode):
 
 
 class Unfinished(struct.PyTreeNode):
-    """Episodes in the middle, told by how they came there."""
+    """Episodes that go on, each described by its seed and its actions so far."""
 
     seed: jax.Array  # (S,) int32
     actions: jax.Array  # (S, T, p) float32 so far, then zeros
@@ -102,14 +103,9 @@ class GymnasiumEnv:
         episode_length: int,
     ) -> tuple[Trajectories, jax.Array]:
         """Simulate an episode of each policy; see ``MujocoTask.run_episodes``."""
-        result: tuple[Trajectories, jax.Array] = host_call(
-            functools.partial(self._run, episode_length),
-            self._types(len(noise), episode_length),
-            policies,
-            starts,
-            noise,
-        )
-        return result
+        types = self._types(len(noise), episode_length)
+        run = functools.partial(self._run, episode_length)
+        return host_call(run, types, policies, starts, noise)
 
     def begin_segments(self, starts: GymnasiumStart, episode_length: int) -> Unfinished:
         """Return what :meth:`run_segments` goes on from, after the resets of S episodes."""
@@ -129,19 +125,11 @@ class GymnasiumEnv:
 
         The ``restarts`` are resets.
         """
-        shape = noise.shape[:2]
-        observations = jax.ShapeDtypeStruct((*shape, self.observation_size), np.float32)
-        actions = jax.ShapeDtypeStruct(noise.shape, np.float32)
-        flags = jax.ShapeDtypeStruct(shape, bool)
-        segments = Segments(observations, actions, observations, flags, flags, flags)
-        rewards = jax.ShapeDtypeStruct(shape, np.float32)
+        segments = segment_types(noise.shape[:2], self.observation_size, self.action_size)
+        rewards = jax.ShapeDtypeStruct(noise.shape[:2], np.float32)
         types = jax.eval_shape(lambda *x: x, states, times, segments, rewards)
-        result: tuple[Unfinished, jax.Array, Segments, jax.Array] = host_call(
-            functools.partial(self._go_on, episode_length),
-            types,
-            *(policies, states, times, restarts.seed, noise),
-        )
-        return result
+        run = functools.partial(self._go_on, episode_length)
+        return host_call(run, types, policies, states, times, restarts.seed, noise)
 
     def _go_on(
         self,
@@ -218,7 +206,7 @@ class GymnasiumEnv:
 
     def _run_requests(self, requests: Sequence[Request]) -> tuple[Trajectories, np.ndarray]:
         types = self._types(len(requests), requests[0].episode_length)
-        run, rewards = jax.tree.map(lambda each: np.zeros(each.shape, each.dtype), types)
+        run, rewards = zeros(types)
         for i, episode in enumerate(self._pool.run(requests)):
             length = len(episode.rewards)
             run.observations[i, :length] = episode.observations
@@ -230,16 +218,9 @@ class GymnasiumEnv:
 
     def _types(self, num_episodes: int, episode_length: int) -> tuple[Trajectories, Any]:
         """Return the shapes and types of episodes and of their rewards."""
-        shape, n, p = (num_episodes, episode_length), self.observation_size, self.action_size
-        episodes = Trajectories(
-            observations=jax.ShapeDtypeStruct((*shape, n), np.float32),
-            actions=jax.ShapeDtypeStruct((*shape, p), np.float32),
-            records=jax.ShapeDtypeStruct((0,), np.float32),
-            final_observations=jax.ShapeDtypeStruct((num_episodes, n), np.float32),
-            lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
-            diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
-        )
-        return episodes, jax.ShapeDtypeStruct(shape, np.float32)
+        sizes = self.observation_size, self.action_size
+        episodes = trajectory_types(num_episodes, episode_length, *sizes)
+        return episodes, jax.ShapeDtypeStruct((num_episodes, episode_length), np.float32)
 
 
 def _perceptrons(policies: Perceptrons) -> list[Perceptron]:

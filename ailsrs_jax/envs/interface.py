@@ -62,7 +62,7 @@ def require_env(env: Any) -> None:
 
 @functools.lru_cache(maxsize=4)
 def starts_at_observations(env: Any) -> bool:
-    """Whether ``env.state_at`` can be used; if not, this is told, once for an environment."""
+    """Whether ``env.state_at`` can be used; if not, it logs a warning, once per environment."""
     can = bool(getattr(env, "sets_observations", hasattr(env, "state_at")))
     if not can:
         logger.warning(

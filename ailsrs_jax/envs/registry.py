@@ -100,14 +100,14 @@ def open_env(
 ) -> OpenEnv:
     """Return the environment called ``env``, or ``env`` itself if it is one, after checking it.
 
-    From then on files may name it, too. A name out of a file has to pass :func:`require_harmless`
-    before.
+    From then on files may name it, too. A name that comes from a file must first pass
+    :func:`require_harmless`.
 
     Args:
         env: a task by name; a Brax environment; or a function that makes one of Gymnasium.
         physics: see :func:`make_env`.
-        workers: for an environment of Gymnasium; see :class:`GymnasiumEnv`.
-        worker_timeout: in the same way.
+        workers: see :class:`GymnasiumEnv`; only for an environment of Gymnasium.
+        worker_timeout: see :class:`GymnasiumEnv`, too.
 
     Raises:
         UserError: it is unknown, cannot be trained in, or does not let ``physics`` be chosen.
@@ -160,8 +160,8 @@ def takes_physics(name: str) -> bool:
 def require_harmless(env_id: str, source: str, option: str = "--env") -> None:
     """Raise UserError unless it is safe to look up and call ``env_id``, which a file names.
 
-    Safe are this package's tasks, environments that are registered with Gymnasium without a module
-    in their name, and what the user has named in this process; see :func:`open_env`.
+    These are safe: this package's tasks, environments that are registered with Gymnasium without a
+    module in their name, and what the user has named in this process; see :func:`open_env`.
     """
     registered_id = env_id.removeprefix(PREFIX)
     if is_gymnasium(env_id) and ":" not in registered_id and registered_id in gymnasium.registry:

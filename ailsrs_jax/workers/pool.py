@@ -41,7 +41,7 @@ class Pool:
         self._num_workers, self._seconds = num_workers, seconds
         self._facts: Facts | None = None
         self._idle: list[Any] = []
-        self._homes: dict[int, Any] = {}  # of segments: their worker by place, modulo the workers
+        self._homes: dict[int, Any] = {}  # the worker of each place, modulo the number of workers
         handle, path = tempfile.mkstemp(prefix="ailsrs-", suffix=".log")
         self._path, self._log = Path(path), os.fdopen(handle, "wb")
         self._lock = threading.Lock()  # batches of two threads take turns
@@ -135,7 +135,7 @@ class Pool:
         return [episodes[index] for index in range(len(requests))]
 
     def _choose(self, place: int | None) -> Any:
-        """Take an idle worker, for segments that of their ``place``; None if it is not idle."""
+        """Take an idle worker, and the one of this ``place`` for a segment; None if it is busy."""
         if place is None:
             return self._idle.pop() if self._idle else None
         place %= self._num_workers

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import cloudpickle
 
-# Environments do not gain from more threads each than there are cores in all.
+# The workers use all cores, so more threads in each would not make them faster.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -20,7 +20,7 @@ class ProcessWorker:
     """Answers one request at a time."""
 
     def __init__(self, name: Any, log: IO[bytes]) -> None:
-        """Start the process; its first answer are the facts about the environment.
+        """Start the process; its first answer holds the facts about the environment.
 
         Args:
             name: of the environment; see :func:`~ailsrs_jax.workers.episode.make`.

@@ -18,14 +18,14 @@ class _Actor:
     def answer(self, request: Any) -> Any:
         if isinstance(self._envs, Failure):
             return self._envs
-        return attempt(self._envs.facts) if request is None else attempt(self._envs.answer, request)
+        return self._envs.facts if request is None else attempt(self._envs.answer, request)
 
 
 class RayWorker:
     """Answers one request at a time; see :class:`~ailsrs_jax.workers.process.ProcessWorker`."""
 
     def __init__(self, name: Any, log: IO[bytes]) -> None:
-        """Start the actor; its first answer are the facts about the environment."""
+        """Start the actor; its first answer holds the facts about the environment."""
         del log  # Ray has its own
         if not ray.is_initialized():
             with warnings.catch_warnings():

@@ -6,7 +6,6 @@ import numpy as np
 
 from ailsrs_jax.workers.episode import (
     Episode,
-    Facts,
     Perceptron,
     Request,
     begin,
@@ -56,18 +55,15 @@ class Environments:
     """The environments of a worker: one for whole episodes, and one for each place of segments.
 
     A segment goes on with an episode that its seed and its actions determine. The environment of
-    its place usually is where they lead to. Otherwise they are played again, so that the result
+    its place usually stands there already. If not, the actions are played again, so that the result
     does not depend on the worker.
     """
 
     def __init__(self, name: Any) -> None:
         """Make an environment; see :func:`~ailsrs_jax.workers.episode.make`."""
         self._name, self._env = name, make(name)
+        self.facts = describe(self._env, name)
         self._running: dict[int, Running] = {}
-
-    def facts(self) -> Facts:
-        """Return the facts about the environment."""
-        return describe(self._env, self._name)
 
     def answer(self, request: Request | SegmentRequest) -> Episode | Segment:
         """Run an episode or a segment."""

@@ -40,7 +40,7 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_receive, args=(connection, requests), daemon=True).start()
     sys.path[:], name = requests.get()
     envs = attempt(Environments, name)
-    connection.send(envs if isinstance(envs, Failure) else attempt(envs.facts))
+    connection.send(envs if isinstance(envs, Failure) else envs.facts)
     while True:
         connection.send(attempt(envs.answer, requests.get()))
 

@@ -1,6 +1,6 @@
 """Multilayer perceptrons as a C header without dependencies, for controllers and simulators."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -45,16 +45,18 @@ LAYER = """\
     for (int i = 0; i < {num_out}; i++) x[i] = y[i];"""
 
 
-def encode_c_header(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
+def encode_c_header(
+    arrays: Mapping[str, np.ndarray],
+    layers: Sequence[tuple[np.ndarray, np.ndarray]],
+    metadata: Mapping[str, str],
+) -> bytes:
     """Encode clip(perceptron((observation − mean) / std), low, high) as C99 in float64.
 
     Args:
         arrays: as for :func:`~ailsrs_jax.data.formats.onnx.encode_onnx`.
+        layers: in the same way.
         metadata: ``env_id``, the name of the task.
     """
-    layers = [(arrays[f"weights_{i}"], arrays[f"biases_{i}"]) for i in range(_num_layers(arrays))]
-    if not layers:
-        layers = [(arrays["weights"], np.zeros(len(arrays["weights"])))]
     constants = {name: arrays[name] for name in ("mean", "std", "action_low", "action_high")}
     for index, (weights, biases) in enumerate(layers):
         constants |= {f"weights_{index}": weights, f"biases_{index}": biases}
@@ -72,10 +74,6 @@ def encode_c_header(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str
         ),
     )
     return text.encode()
-
-
-def _num_layers(arrays: Mapping[str, np.ndarray]) -> int:
-    return sum(name.startswith("weights_") for name in arrays)
 
 
 def _constant(name: str, array: np.ndarray) -> str:

@@ -1,6 +1,6 @@
 """Multilayer perceptrons as ONNX models, for programs that do not use this package."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,13 +11,16 @@ OUTPUT = "action"  # float32 (batch, p)
 OPSET = 13  # of the year 2020, which older runtimes can read
 
 
-def encode_onnx(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
+def encode_onnx(
+    arrays: Mapping[str, np.ndarray],
+    layers: Sequence[tuple[np.ndarray, np.ndarray]],
+    metadata: Mapping[str, str],
+) -> bytes:
     """Encode the model clip(perceptron((observation − mean) / std), low, high) in float32.
 
     Args:
-        arrays: mean and std of the observations, ``(n,)``; action_low and action_high, ``(p,)``;
-            and the weights of a linear policy ``(p, n)``, or weights_<i> ``(out, in)`` and
-            biases_<i> ``(out,)`` of each layer i, with tanh between layers.
+        arrays: mean and std of the observations, ``(n,)``; action_low and action_high, ``(p,)``.
+        layers: weights ``(out, in)`` and biases ``(out,)`` of each layer, with tanh between layers.
         metadata: text to store in the model.
 
     Raises:
@@ -25,30 +28,26 @@ def encode_onnx(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -
     """
     import onnx
 
-    if "weights" in arrays:
-        weights = arrays["weights"]
-        arrays = {**arrays, "weights_0": weights, "biases_0": np.zeros_like(weights[:, 0])}
-    num_layers = sum(name.startswith("weights_") for name in arrays)
-    used = ["mean", "std", "action_low", "action_high"]
+    used = {name: arrays[name] for name in ("mean", "std", "action_low", "action_high")}
     nodes = [
         onnx.helper.make_node("Sub", [INPUT, "mean"], ["centred"]),
         onnx.helper.make_node("Div", ["centred", "std"], ["hidden_0"]),
     ]
-    for index in range(num_layers):
+    for index, layer in enumerate(layers):
         hidden, names = f"hidden_{index}", (f"weights_{index}", f"biases_{index}")
         if index > 0:
             nodes.append(onnx.helper.make_node("Tanh", [hidden], [f"tanh_{index}"]))
             hidden = f"tanh_{index}"
         output = f"hidden_{index + 1}"
         nodes.append(onnx.helper.make_node("Gemm", [hidden, *names], [output], transB=1))
-        used += names
+        used |= zip(names, layer, strict=True)
     # ONNX's Clip supports only one range for all actions.
     nodes += [
-        onnx.helper.make_node("Max", [f"hidden_{num_layers}", "action_low"], ["above_low"]),
+        onnx.helper.make_node("Max", [f"hidden_{len(layers)}", "action_low"], ["above_low"]),
         onnx.helper.make_node("Min", ["above_low", "action_high"], [OUTPUT]),
     ]
     with np.errstate(over="ignore", under="ignore"):
-        constants = {name: np.asarray(arrays[name], np.float32) for name in used}
+        constants = {name: np.asarray(array, np.float32) for name, array in used.items()}
     finite = all(np.isfinite(array).all() for array in constants.values())
     if not finite or not constants["std"].all():
         raise UserError(

@@ -24,17 +24,22 @@ MLP_ARRAYS = (
 )
 
 
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # weights (out, in), biases (out,) of each
+
+
 class Format(NamedTuple):
     """A format of policy files."""
 
     package: str  # the package that it needs
-    encode: Callable[[dict[str, np.ndarray], dict[str, str]], bytes]  # arrays and text to bytes
+    encode: Callable[[dict[str, np.ndarray], Layers, dict[str, str]], bytes]  # with text
     read: Callable[..., dict[str, np.ndarray]] | None  # like read_npz
 
 
 FORMATS = {
-    ".npz": Format("numpy", lambda arrays, text: encode_npz({**arrays, **text}), read_npz),
-    ".safetensors": Format("safetensors", encode_safetensors, read_safetensors),
+    ".npz": Format("numpy", lambda arrays, _, text: encode_npz({**arrays, **text}), read_npz),
+    ".safetensors": Format(
+        "safetensors", lambda arrays, _, text: encode_safetensors(arrays, text), read_safetensors
+    ),
     ".onnx": Format("onnx", encode_onnx, None),
     ".h": Format("numpy", encode_c_header, None),
 }

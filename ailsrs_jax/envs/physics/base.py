@@ -65,6 +65,32 @@ class Segments(NamedTuple):
     diverged: Any  # (S, L) bool, the step was not finite; its other numbers mean nothing
 
 
+def trajectory_types(
+    num_episodes: int, episode_length: int, n: int, p: int, num_records: int = 0
+) -> Trajectories:
+    """Return the shapes and types of episodes with n observed numbers and p actions."""
+
+    def numbers(*shape: int) -> Any:
+        return jax.ShapeDtypeStruct((num_episodes, *shape), np.float32)
+
+    return Trajectories(
+        observations=numbers(episode_length, n),
+        actions=numbers(episode_length, p),
+        records=numbers(episode_length + 1, num_records),
+        final_observations=numbers(n),
+        lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
+        diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
+    )
+
+
+def segment_types(shape: tuple[int, ...], n: int, p: int) -> Segments:
+    """Return the shapes and types of segments of ``shape (S, L)``."""
+    observations = jax.ShapeDtypeStruct((*shape, n), np.float32)
+    actions = jax.ShapeDtypeStruct((*shape, p), np.float32)
+    flags = jax.ShapeDtypeStruct(shape, bool)
+    return Segments(observations, actions, observations, flags, flags, flags)
+
+
 class PhysicsState(struct.PyTreeNode):
     """The state of one simulation: the fields that tasks read, and the engine's private state."""
 

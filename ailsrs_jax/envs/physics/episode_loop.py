@@ -77,17 +77,11 @@ def run_episode(
     stop: np.ndarray,
     trajectory: Trajectory,
 ) -> tuple[int, bool, bool]:
-    """Simulate an episode from the state that the ``mjData`` is in.
+    """Simulate an episode from the state that the ``mjData`` is in, and fill ``trajectory``.
 
-    Args:
-        engine: what simulates.
-        memory: the numbers of the ``mjData``, float64.
-        warnings: how often MuJoCo has found the simulation unstable, for several reasons.
-        layout: of ``memory``.
-        policy: chooses the actions.
-        noise: ``(T, p)``, added to the actions before they are clipped; ``(0, p)`` for none.
-        stop: ``(1,)``, the episode ends early when this is no longer 0.
-        trajectory: receives the result.
+    ``memory`` holds the numbers of the ``mjData`` in float64. ``warnings`` counts how often MuJoCo
+    has found the simulation unstable, for several reasons. ``noise (T, p)`` is added to the actions
+    before they are clipped; ``(0, p)`` is none. The episode ends early when ``stop (1,)`` is not 0.
 
     Returns:
         The number of steps, whether the next one diverged, and whether the last one has left the

@@ -14,12 +14,17 @@ import mujoco
 import numpy as np
 
 from ailsrs_jax.envs.physics import episode_loop
-from ailsrs_jax.envs.physics.base import InitialState, Perceptrons, Range, Trajectories
+from ailsrs_jax.envs.physics.base import (
+    STATE,
+    InitialState,
+    Perceptrons,
+    Range,
+    Trajectories,
+    trajectory_types,
+)
 from ailsrs_jax.envs.physics.episode_loop import Engine, Layout, Perceptron, Trajectory
 from ailsrs_jax.envs.physics.quiet import without_warnings
-from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, host_call, interrupted
-
-STATE = (Range("qpos"), Range("qvel"))
+from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, host_call, interrupted, zeros
 
 
 class EpisodeRunner:
@@ -68,22 +73,24 @@ class EpisodeRunner:
         noise: jax.Array,
         episode_length: int,
     ) -> Trajectories:
-        """Call :meth:`run` in a JAX program; ``records`` has ``(B, T + 1, ...)`` of each field."""
-        num_episodes, num_steps = len(starts.qpos), episode_length
-        n, p = policies.sizes[0], policies.sizes[-1]
-        r = self.num_recorded
-        types = Trajectories(
-            observations=jax.ShapeDtypeStruct((num_episodes, num_steps, n), np.float32),
-            actions=jax.ShapeDtypeStruct((num_episodes, num_steps, p), np.float32),
-            records=jax.ShapeDtypeStruct((num_episodes, num_steps + 1, r), np.float32),
-            final_observations=jax.ShapeDtypeStruct((num_episodes, n), np.float32),
-            lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
-            diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
-        )
+        """Simulate an episode of each policy, in a JAX program; see ``MujocoTask.run_episodes``.
+
+        The ``records`` are a dictionary with ``(B, T + 1, ...)`` of each field.
+        """
+        sizes = policies.sizes
+        types = trajectory_types(len(noise), episode_length, sizes[0], sizes[-1], self.num_recorded)
 
         def run(policies: Perceptrons, starts: InitialState, noise: np.ndarray) -> Trajectories:
-            result = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), types)
-            self.run(policies, starts, noise, result)
+            result: Trajectories = zeros(types)
+            perceptrons = perceptrons_of(policies)
+
+            def run_one(i: int, stop: np.ndarray) -> None:
+                self.begin(starts.qpos[i], starts.qvel[i])
+                result.lengths[i], result.diverged[i], _ = self.run_episode(
+                    perceptrons[i], noise[i], stop, Trajectory(*(array[i] for array in result[:4]))
+                )
+
+            self.share(run_one, len(noise))
             return result
 
         result = host_call(run, types, policies, starts, noise)
@@ -97,35 +104,6 @@ class EpisodeRunner:
             name: numbers.reshape(*records.shape[:2], *shape)
             for (name, shape), numbers in zip(self._shapes.items(), parts, strict=True)
         }
-
-    def run(
-        self,
-        policies: Perceptrons,
-        starts: InitialState,
-        noise: np.ndarray,
-        result: Trajectories,
-    ) -> None:
-        """Simulate an episode of each policy.
-
-        Args:
-            policies: B policies, of NumPy arrays.
-            starts: of each episode.
-            noise: ``(B, T, p)``, added to the actions before they are clipped; ``(B, 0, p)`` for
-                none.
-            result: zeros, to be filled.
-
-        Raises:
-            Interrupted: somebody asked for a stop.
-        """
-        perceptrons = perceptrons_of(policies)
-
-        def run_one(i: int, stop: np.ndarray) -> None:
-            self.begin(starts.qpos[i], starts.qvel[i])
-            result.lengths[i], result.diverged[i], _ = self.run_episode(
-                perceptrons[i], noise[i], stop, Trajectory(*(array[i] for array in result[:4]))
-            )
-
-        self.share(run_one, len(result.lengths))
 
     def begin(self, qpos: Any, qvel: Any, goes_on: bool = False) -> None:
         """Put this thread's ``mjData`` into a state, perhaps in the middle of an episode.
@@ -178,7 +156,8 @@ class EpisodeRunner:
     def _set_up_thread(self) -> None:
         """Give this thread an ``mjData``, and find the fields in its memory."""
         own, data = self._own, mujoco.MjData(self._model)
-        parts = (*self._observed, *self._limits, *self._recorded, *STATE)
+        state = tuple(map(Range, STATE))
+        parts = (*self._observed, *self._limits, *self._recorded, *state)
         fields = {name: getattr(data, name) for name in ("ctrl", *(part.field for part in parts))}
         # All fields lie in one buffer, which never moves.
         start = min(field.ctypes.data for field in fields.values())
@@ -210,7 +189,7 @@ class EpisodeRunner:
         )
         own.layout = Layout(
             ctrl=place["ctrl"],
-            moving=numbers(STATE)[0],
+            moving=numbers(state)[0],
             observed=observed,
             lowest=lowest.astype(np.float32),
             highest=highest.astype(np.float32),

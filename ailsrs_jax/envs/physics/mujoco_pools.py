@@ -17,7 +17,7 @@ Readings = dict[str, np.ndarray]
 
 
 class RolloutPool:
-    """``mujoco.rollout``: entirely in C, but it returns the state only, no field of ``mjData``."""
+    """``mujoco.rollout`` runs entirely in C, but returns only states, no field of ``mjData``."""
 
     state_spec = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 

@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from ailsrs_jax.envs.physics.base import InitialState, Perceptrons, Segments
+from ailsrs_jax.envs.physics.base import InitialState, Perceptrons, Segments, segment_types
 from ailsrs_jax.envs.physics.episode_loop import Trajectory
 from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner, perceptrons_of
-from ailsrs_jax.host_calls import host_call
+from ailsrs_jax.host_calls import host_call, zeros
 
 Records = dict[str, jax.Array]
 
@@ -30,18 +30,12 @@ def run_segments(
         The states and times after the segments, the segments, and the recorded fields before and
         after each step.
     """
-    shape, n, p = noise.shape[:2], policies.sizes[0], policies.sizes[-1]
-
-    def numbers(size: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((*shape, size), np.float32)
-
-    flags = jax.ShapeDtypeStruct(shape, bool)
-    segments = Segments(numbers(n), numbers(p), numbers(n), flags, flags, flags)
-    after = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (states, times))
-    types = (*after, segments, (numbers(runner.num_recorded),) * 2)
+    segments = segment_types(noise.shape[:2], policies.sizes[0], policies.sizes[-1])
+    records = jax.ShapeDtypeStruct((*noise.shape[:2], runner.num_recorded), np.float32)
+    types = jax.eval_shape(lambda *x: x, states, times, segments, (records, records))
 
     def run(*inputs: Any) -> Any:
-        result = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), types)
+        result = zeros(types)
         _run(runner, episode_length, inputs, result)
         return result
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.envs.physics import PhysicsState, Range
-from ailsrs_jax.envs.tasks.spatial_walker import SpatialWalker
+from ailsrs_jax.envs.tasks.gymnasium_task import SpatialWalker
 from ailsrs_jax.errors import UserError
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 
 from ailsrs_jax.envs.physics import Range
-from ailsrs_jax.envs.tasks.planar_walker import PlanarWalker
+from ailsrs_jax.envs.tasks.gymnasium_task import PlanarWalker
 
 
 @dataclasses.dataclass(eq=False, kw_only=True)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ailsrs_jax.envs.physics import PhysicsState, Range
-from ailsrs_jax.envs.tasks.spatial_walker import SpatialWalker
+from ailsrs_jax.envs.tasks.gymnasium_task import SpatialWalker
 
 
 @dataclasses.dataclass(eq=False, kw_only=True)

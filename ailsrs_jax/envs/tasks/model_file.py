@@ -1,7 +1,7 @@
 """Models of MuJoCo, by their files."""
 
-import importlib.util
 import os
+from importlib import resources
 from pathlib import Path
 
 import mujoco
@@ -16,12 +16,9 @@ def model_path(xml_file: str) -> Path:
     Raises:
         UserError: the file does not exist.
     """
-    gymnasium = importlib.util.find_spec("gymnasium")
-    assert gymnasium is not None
-    assert gymnasium.submodule_search_locations is not None
-    assets = Path(gymnasium.submodule_search_locations[0], "envs", "mujoco", "assets")
-    is_path = xml_file.startswith((".", "~", os.sep))
-    path = Path(xml_file).expanduser() if is_path else assets / xml_file
+    path = Path(xml_file).expanduser()
+    if not xml_file.startswith((".", "~", os.sep)):
+        path = Path(str(resources.files("gymnasium")), "envs", "mujoco", "assets", xml_file)
     if not path.is_file():
         raise UserError(f"no model file {path}")
     return path

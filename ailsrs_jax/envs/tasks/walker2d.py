@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from ailsrs_jax.envs.tasks.planar_walker import PlanarWalker
+from ailsrs_jax.envs.tasks.gymnasium_task import PlanarWalker
 
 
 @dataclasses.dataclass(eq=False, kw_only=True)

@@ -3,24 +3,22 @@
 Each function returns environment steps per second, in the fastest configuration of its package.
 """
 
-import dataclasses
 import functools
-import importlib.util
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy, repeated
+from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
-from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.trainers.parts.rollout import Simulator
 
 SECONDS = 3.0  # how long a configuration of a vector environment is stepped
 STEPS = 64_000  # in an epoch of Brax, whose speed does not depend on the episodes' length
@@ -75,14 +73,14 @@ def gymnasium_workers(env_id: str, num_directions: int, episode_length: int) -> 
     env = GymnasiumEnv(env_id)
     n, p, num_episodes = env.observation_size, env.action_size, 2 * num_directions
     still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
-    policies = repeated(still, num_episodes)
+    simulator = Simulator(env)
     steps, key = 0, jax.random.key(0)
-    simulate(env, policies, jax.random.split(key, num_episodes), 1)  # starts the processes
+    simulator.evaluate(still, key, num_episodes, 1)  # starts the processes
     started = time.perf_counter()
     while time.perf_counter() < started + SECONDS:
         key, start_key = jax.random.split(key)
-        starts = jax.random.split(start_key, num_episodes)
-        steps += int(simulate(env, policies, starts, episode_length).env_steps)
+        episodes = simulator.evaluate(still, start_key, num_episodes, episode_length)
+        steps += int(episodes.env_steps)
     return steps / (time.perf_counter() - started)
 
 
@@ -121,19 +119,13 @@ def _rate(step: Callable[[], Any], steps_in_a_call: int) -> float:
     return calls * steps_in_a_call / (time.perf_counter() - started)
 
 
-@dataclasses.dataclass(frozen=True)
-class Peer:
+class Peer(NamedTuple):
     """A package to compare with."""
 
     package: str
     physics: str
-    measure: Callable[
-        [str, int, int], float
-    ]  # takes the task, the number of directions, the episode length
-
-    def is_installed(self) -> bool:
-        """Whether its package can be imported."""
-        return importlib.util.find_spec(self.package) is not None
+    #: takes the task, the number of directions and the length of an episode
+    measure: Callable[[str, int, int], float]
 
 
 PEERS = {

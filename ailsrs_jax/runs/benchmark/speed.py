@@ -3,6 +3,7 @@
 import concurrent.futures
 import contextlib
 import dataclasses
+import importlib.util
 import multiprocessing
 import os
 import resource
@@ -20,14 +21,13 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.physics import InitialState
 from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.runs.benchmark import peers
 from ailsrs_jax.runs.benchmark.replay import bare, compiled, limit
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import choose_simulator, compiler_options, set_up_jax
-from ailsrs_jax.trainers.ailsrs import Ailsrs, TrainState, make_ailsrs
+from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
-from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Simulator
 
 
@@ -84,7 +84,7 @@ def benchmark(
             speeds[engine] = measurement.rows[-1].env_steps_per_s
             yield measurement
         for name, peer in peers.PEERS.items():
-            if env_id not in TASKS or not peer.is_installed():
+            if env_id not in TASKS or importlib.util.find_spec(peer.package) is None:
                 continue
             try:
                 row = _in_a_process(measure_peer, name, env_id, size, episode_length)
@@ -128,7 +128,9 @@ def measure(
     starts = trainer.starts(key)
     if not isinstance(starts, InitialState):
         starts = jax.jit(jax.vmap(env.draw_start))(starts)
-    simulate, simulate_compile_s = compiled(_episodes(trainer, state, key), options=options)
+    simulate, simulate_compile_s = compiled(
+        lambda: trainer.simulate(state, trainer.ask(jax.random.key(2)), key), options=options
+    )
     episodes = simulate()
     actions, lengths = np.asarray(episodes.actions), np.asarray(episodes.lengths)
     replay, bare_compile_s = bare(simulator, starts, actions)
@@ -219,11 +221,6 @@ def _shared_evenly(simulator: Simulator, num_episodes: int) -> Simulator:
     return dataclasses.replace(simulator, mesh=mesh)
 
 
-def _episodes(trainer: Ailsrs, state: TrainState, key: jax.Array) -> Callable[[], Episodes]:
-    """Return a program that simulates the perturbed policies of an update."""
-    return lambda: trainer.simulate(state, trainer.ask(jax.random.key(2)), key)
-
-
 def _peak_memory_mb() -> float:
     stats = jax.local_devices()[0].memory_stats()
     if stats:
@@ -235,11 +232,8 @@ def _peak_memory_mb() -> float:
 def _in_a_process(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call ``function`` in a new process, with its own memory and JAX."""
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(1, mp_context=context) as pool:
-        try:
-            return pool.submit(function, *arguments).result()
-        except UserError:
-            raise
-        except Exception as error:
-            what = f"{function.__name__}{arguments}"
-            raise UserError(f"{what} failed: {type(error).__name__} {error}") from error
+    with (
+        refusing(f"{function.__name__}{arguments} failed"),
+        concurrent.futures.ProcessPoolExecutor(1, mp_context=context) as pool,
+    ):
+        return pool.submit(function, *arguments).result()

@@ -12,8 +12,7 @@ from brax.training.networks import make_policy_network
 
 from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env
-from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments
-from ailsrs_jax.runs.experts.unit_actions import unit_policy
+from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments, unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.trainers.parts.settings import Positive
 

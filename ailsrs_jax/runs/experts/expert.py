@@ -118,8 +118,7 @@ def expert_settings(algorithm: str, env_id: str) -> PpoSettings | EvolutionSetti
     if algorithm == "es":
         return EvolutionSettings()
     if algorithm == "ars":
-        settings: ArsSettings = preset_settings(env_id, "tuned", "ars")
-        return settings
+        return preset_settings(env_id, "tuned", "ars")
     raise UserError(f"unknown algorithm '{algorithm}': use one of ppo, es, ars")
 
 
@@ -129,13 +128,12 @@ def _search(env: Env, settings: ArsSettings, seed: int, consider: Callable[..., 
     place = trainer.simulator.everywhere
     init = jax.vmap(lambda seed: trainer.init(jax.random.key(seed)))
     start = jax.jit(init, out_shardings=place)(seeds)
-    num_iterations = settings.num_iterations
     for state, report in iterate(
         trainer.update,
         start,
         env_steps,
         0,
-        num_iterations,
+        settings.num_iterations,
         place=place,
         compiler_options=compiler_options(env),
     ):

@@ -10,13 +10,12 @@ import jax
 import jax.numpy as jnp
 from brax.training.agents.ppo import networks, train
 
-from ailsrs_jax.components.policy import MlpPolicy, repeated
+from ailsrs_jax.components.policy import MlpPolicy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments
-from ailsrs_jax.runs.experts.unit_actions import unit_policy
+from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments, unit_policy
 from ailsrs_jax.runs.storage.metrics import IterationReport
-from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
 
 
@@ -52,10 +51,7 @@ class _StopError(Exception):
 PPO_PRESETS = {
     # With more initial noise, Ant loses more by it than it earns by walking.
     "Ant-v5": PpoSettings(
-        num_env_steps=4_300_800,
-        num_evaluations=42,
-        num_evaluation_episodes=16,
-        init_noise_std=0.35,
+        num_env_steps=4_300_800, num_evaluations=42, num_evaluation_episodes=16, init_noise_std=0.35
     ),
     "HalfCheetah-v5": PpoSettings(
         num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0
@@ -98,7 +94,8 @@ def train_ppo(
             f"setting num_envs is {settings.num_envs}: it must be a multiple of num_minibatches, "
             f"{settings.num_minibatches}"
         )
-    evaluate = jax.jit(functools.partial(_evaluate, env, settings))
+    sizes = settings.num_evaluation_episodes, settings.episode_length
+    evaluate = jax.jit(lambda policy, key: Simulator(env).evaluate(policy, key, *sizes))
     progress = Progress(settings.num_evaluations)
 
     def evaluated(num_steps: int, _: Any, parameters: Any) -> None:
@@ -156,9 +153,3 @@ def _policy(env: Env, parameters: Any) -> MlpPolicy:
     hidden = network["MLP_0"]
     layers = [*(hidden[f"hidden_{i}"] for i in range(len(hidden))), network["Dense_0"]]
     return unit_policy(env, normalizer, layers, jnp.exp(network["std_logparam"]["log_value"]))
-
-
-def _evaluate(env: Env, settings: PpoSettings, policy: MlpPolicy, key: jax.Array) -> Any:
-    num_episodes = settings.num_evaluation_episodes
-    policies = repeated(policy, num_episodes)
-    return simulate(env, policies, jax.random.split(key, num_episodes), settings.episode_length)

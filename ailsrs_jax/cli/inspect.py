@@ -4,6 +4,7 @@ import dataclasses
 import math
 import os
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,8 @@ from ailsrs_jax.errors import UserError
 if TYPE_CHECKING:
     from ailsrs_jax.runs.inspection.comparison import RunSummary
     from ailsrs_jax.runs.inspection.demonstrations import Inspection
+
+KEPT = "kept: the return of the kept policies, in % of the expert's"
 
 
 def inspect(
@@ -85,6 +88,7 @@ def inspect(
 
 def compare(
     directories: Positional[Annotated[tuple[Path, ...], arg(metavar="DIR [DIR ...]")]],
+    output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Show runs of one task side by side: returns, distances, and what they cost.
@@ -94,37 +98,61 @@ def compare(
 
     Example: ailsrs compare runs/hopper runs/gail
 
+    Example: ailsrs compare runs/hopper runs/gail --output comparison.html
+
     Args:
         directories: The directories of runs, finished or not.
+        output: Also write a page with the table, and with the curves on common axes.
     """
     from ailsrs_jax.cli.progress import sparkline
     from ailsrs_jax.runs.inspection.comparison import compare_runs
 
     found = compare_runs(directories)
     terminal.json(dataclasses.asdict(found))
-    if terminal.as_json:
-        return
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("run", "algorithm"):
-        table.add_column(name, overflow="fold")
-    for name in ("kept", "distance", "0.9 after"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column(f"to {found.max_steps / 1e6:.2f} M steps", no_wrap=True)
-    courses = [value for run in found.runs for value in run.course]
-    highest = max(courses + [run.expert_return or 0.0 for run in found.runs])
     paths = [Path(run.directory).resolve() for run in found.runs]
     shared = os.path.commonpath([path.parent for path in paths])
-    for run, path in zip(found.runs, paths, strict=True):
-        table.add_row(
-            escape(str(path.relative_to(shared))),
+    header = ("run", "algorithm", "kept", "distance", "0.9 after")
+    rows = [
+        (
+            str(path.relative_to(shared)),
             run.algorithm + (f", {run.num_seeds} seeds" if run.num_seeds > 1 else ""),
             percentage(run.return_mean, run.expert_return) or f"{run.return_mean:.0f}",
             "" if run.distance is None else f"{run.distance:.2f}",
             _cost(run),
-            sparkline(np.array(run.course), min(*courses, 0.0), highest),
         )
-    terminal.line(f"{found.env_id} · kept: the return of the kept policies, in % of the expert's")
+        for run, path in zip(found.runs, paths, strict=True)
+    ]
+    if output is not None:
+        _write_comparison(output, {row[0]: path for row, path in zip(rows, paths)}, header, rows)
+    if terminal.as_json:
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in header[:2]:
+        table.add_column(name, overflow="fold")
+    for name in header[2:]:
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column(f"to {found.max_steps / 1e6:.2f} M steps", no_wrap=True)
+    courses = [value for run in found.runs for value in run.course]
+    highest = max(courses + [run.expert_return or 0.0 for run in found.runs])
+    for run, row in zip(found.runs, rows, strict=True):
+        course = sparkline(np.array(run.course), min(*courses, 0.0), highest)
+        table.add_row(*map(escape, row), course)
+    terminal.line(f"{found.env_id} · {KEPT}")
     terminal.console.print(table)
+    if output is not None:
+        terminal.line(str(output))
+
+
+def _write_comparison(
+    output: Path, paths: dict[str, Path], header: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    from ailsrs_jax.files import require_writable, write_atomically
+    from ailsrs_jax.runs.storage.saved_run import read_run
+    from ailsrs_jax.show.reports.comparison_page import comparison_page
+
+    require_writable(output)
+    runs = {name: read_run(path) for name, path in paths.items()}
+    write_atomically(output, comparison_page(runs, header, rows, f"{KEPT}.").html())
 
 
 def _cost(run: "RunSummary") -> str:

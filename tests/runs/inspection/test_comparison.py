@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,13 @@ def test_the_command(recorded: Path, monkeypatch: Any, capsys: Any) -> None:
     assert printed.count("AILSRS, 2 seeds") == 2
     assert printed.count("90 %") == printed.count("never") == 2
     assert max(map(len, printed.splitlines())) <= 80
+    page = recorded.parent / "page.html"
+    monkeypatch.setattr("sys.argv", ["ailsrs", "compare", str(recorded), "--output", str(page)])
+    main()
+    assert capsys.readouterr().out.endswith(f"{page}\n")
+    html = page.read_text()
+    assert "<td>90 %</td>" in re.sub(r"\s*(</?td)[^>]*>\s*", r"\1>", html)
+    assert "energy distance to expert" in html
     monkeypatch.setattr("sys.argv", ["ailsrs", "compare", str(recorded), "--json"])
     main()
     (entry,) = json.loads(capsys.readouterr().out)["runs"]

@@ -83,7 +83,7 @@ AILSRS: Presets = {
             "averaging": 0.5,
             "num_evaluation_episodes": 12,
         },
-        "Swimmer-v5": {"num_iterations": 6},
+        "Swimmer-v5": {"num_iterations": 18, "cycle_iterations": 6, "finish_distance": 0.05},
     },
 }
 

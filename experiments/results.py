@@ -30,6 +30,7 @@ from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE
+from experiments import robustness
 from experiments.claims import CLAIMS, UNTESTED
 from experiments.evidence import MOST, PAPER_EXPERTS, Evidence, NotRunError, judge
 from experiments.rules import short
@@ -90,6 +91,13 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
 differently](../docs/numerics.md#what-is-reproducible) on another one. All AILSRS cells on Hopper
 and Walker2d come from one processor, and so do those on the other tasks from ten and from forty
 demonstrations. The remaining AILSRS cells come from two."""
+
+CHANGED_WORLDS = f"""\
+Normalised returns of policies in worlds in which they were not trained, as means over seeds and
+{robustness.NUM_EPISODES} episodes. The policies of AILSRS are linear, of the first seeds of
+[search](#search), and the expert is the neural network that they imitate. The last two columns are
+the numbers that a policy consists of, and the time of one action, while the machine did other
+things, too. `python -m experiments.robustness DIRECTORY` measures them; Ant was left out."""
 
 
 def main() -> None:
@@ -169,6 +177,7 @@ def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
     parts += ["## Not tested", markdown_table(["claim", "why"], untested)]
     for name, results in sweeps.items():
         parts += [f"## {name}", *_section(name, results, directory)]
+    parts += ["## Changed worlds", CHANGED_WORLDS, robustness.table()]
     return "\n\n".join(parts) + "\n"
 
 

@@ -2,9 +2,10 @@
 
 usage: python -m experiments.robustness DIRECTORY    (writes robustness.json beside it)
 
-DIRECTORY is that of ``ailsrs sweep experiments/little_data.toml``. Every kept policy runs in
-Gymnasium's environment with each of the CONDITIONS. A return is normalised as in the results: 0 is
-a random policy, 1 is the expert in the unchanged environment.
+DIRECTORY is that of ``ailsrs sweep experiments/search.toml``. The kept policies of the first seeds
+of each task, and the neural expert that they imitate, run in Gymnasium's environment with each of
+the CONDITIONS. A return is normalised as in the results: 0 is a random policy, 1 is the expert in
+the unchanged environment, over its demonstrations.
 """
 
 import json
@@ -19,11 +20,15 @@ import numpy as np
 
 from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
+from ailsrs_jax.runs.policies import load_expert
 from ailsrs_jax.show.sweep_report import markdown_table
-from ailsrs_jax.sweeps.results import read_results
+from ailsrs_jax.sweeps.results import CellResult, read_results
+from ailsrs_jax.sweeps.statistics import group_cells
 from experiments.rules import short
 
 RESULTS = Path(__file__).with_suffix(".json")
+NUM_SEEDS = 5  # of each task
+LEFT_OUT = ("Ant-v5",)  # its episodes take ten times as long
 NUM_EPISODES = 20
 SEED = 20_000  # of the first episode
 NUM_CALLS = 10_000  # of a policy, to measure its time
@@ -90,31 +95,37 @@ def main() -> None:
     """Measure the policies of a sweep."""
     (directory,) = map(Path, sys.argv[1:])
     rows = []
-    for cell in read_results(directory).done:
-        policy = load_policy(directory / "cells" / cell.cell / f"seed_{cell.seed}" / "policy.npz")
-        expert = expert_demonstrations(cell.env_id, 40, "mujoco")
-        std = np.asarray(expert.observations)[np.asarray(expert.alive)].std(axis=0)
-        scores = {
-            name: float(
-                cell.normalize(mean_return(policy, change(gymnasium.make(cell.env_id), std)))
-            )
-            for name, change in CONDITIONS.items()
-        }
-        numbers = sum(array.size for layer in policy.layers for array in layer)
-        seconds = timeit.timeit(lambda: policy(policy.mean), number=NUM_CALLS)  # noqa: B023
-        rows.append(
-            {
-                "env_id": cell.env_id,
-                "label": cell.label,
-                "seed": cell.seed,
-                "scores": scores,
-                "numbers": numbers,
-                "microseconds": round(1e6 * seconds / NUM_CALLS, 1),
-            }
-        )
-        print(cell.cell, {name: round(score, 2) for name, score in scores.items()}, flush=True)
-    RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+    for group in group_cells(read_results(directory).cells):
+        if group.env_id in LEFT_OUT:
+            continue
+        first = group.cells[0]
+        rows.append(measure(load_expert(first.env_id), first, "the expert"))
+        for cell in group.cells[:NUM_SEEDS]:
+            run = directory / "cells" / cell.cell
+            policy = load_policy(run / f"seed_{cell.seed}" / "policy.npz")
+            rows.append(measure(policy, cell, f"AILSRS, {cell.label}"))
+        RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
     print(table())
+
+
+def measure(policy: SavedPolicy, cell: CellResult, label: str) -> dict[str, Any]:
+    """Evaluate a policy of the task of ``cell`` under all conditions."""
+    expert = expert_demonstrations(cell.env_id, 40, "mujoco")
+    std = np.asarray(expert.observations)[np.asarray(expert.alive)].std(axis=0)
+    scores = {}
+    for name, change in CONDITIONS.items():
+        env = change(gymnasium.make(cell.env_id), std)
+        scores[name] = float(cell.normalize(mean_return(policy, env)))
+    print(cell.env_id, label, {name: round(score, 2) for name, score in scores.items()}, flush=True)
+    seconds = timeit.timeit(lambda: policy(policy.mean), number=NUM_CALLS)
+    return {
+        "env_id": cell.env_id,
+        "label": label,
+        "seed": cell.seed,
+        "scores": scores,
+        "numbers": sum(array.size for layer in policy.layers for array in layer),
+        "microseconds": round(1e6 * seconds / NUM_CALLS, 1),
+    }
 
 
 def mean_return(policy: SavedPolicy, env: gymnasium.Env) -> float:

@@ -10,7 +10,7 @@ from flax import struct
 from ailsrs_jax.components import normalizer, random_search
 from ailsrs_jax.components.finite import in_units, mean_of_finite
 from ailsrs_jax.components.normalizer import RunningStatistics
-from ailsrs_jax.components.policy import KeptPolicy, keep
+from ailsrs_jax.components.policy import KeptPolicy, Layers, keep
 from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_times
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -32,8 +32,9 @@ SAMPLES_OF_A_RETURN = 250  # steps of a policy that its energy distance is estim
 class TrainState(struct.PyTreeNode):
     """The state that one iteration hands to the next."""
 
-    weights: jax.Array  # (p, n + 1), the last column is the intercept
-    mean_weights: jax.Array  # (p, n + 1), mean of the iterates
+    weights: jax.Array  # (p, m + 1), the last column is the intercept
+    mean_weights: jax.Array  # (p, m + 1), mean of the iterates
+    hidden: Layers  # of the policy, fixed; a linear one, where m = n, has none
     statistics: RunningStatistics  # what observations are standardised with
     adversary: AdversaryState
     memory: StepMemory  # discriminator inputs of recent policies
@@ -56,15 +57,17 @@ class Ailsrs(Trainer):
         """Start with weights of zero and no statistics, as the paper does; or with a clone."""
         settings = self.settings
         key, network_key = jax.random.split(key)
+        hidden = self.space.hidden_layers(jax.random.fold_in(network_key, 1))
         statistics = normalizer.init(self.env.observation_size)
         weights = jnp.zeros(self.space.shape)
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
             statistics = self.reference.statistics
         if settings.behavior_cloning_start:
-            weights = self.space.clone()
+            weights = self.space.clone(hidden)
         return TrainState(
             weights=weights,
             mean_weights=weights,
+            hidden=hidden,
             statistics=statistics,
             adversary=self.adversary.init(network_key),
             memory=empty_memory(
@@ -73,7 +76,7 @@ class Ailsrs(Trainer):
                 steps_each=self._steps_each,
                 width=self.adversary.input_size,
             ),
-            kept=keep(self.space.policy(weights, statistics)),
+            kept=keep(self.space.policy(weights, hidden, statistics)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
             num_updates=jnp.zeros((), jnp.int32),
@@ -88,7 +91,7 @@ class Ailsrs(Trainer):
         """
         settings = self.settings
         key, updates_key, evaluation_key, distance_key = jax.random.split(state.key, 4)
-        policy = self.space.policy(state.mean_weights, state.statistics)
+        policy = self.space.policy(state.mean_weights, state.hidden, state.statistics)
         evaluation = self.simulator.evaluate(
             policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
         )
@@ -144,7 +147,7 @@ class Ailsrs(Trainer):
         return state.num_updates % length / max(length - 1, 1)
 
     def ask(self, key: jax.Array) -> jax.Array:
-        """Draw ``deltas (N, p, n + 1)``, the directions in which the policy is perturbed."""
+        """Draw ``deltas (N, p, m + 1)``, the directions in which the policy is perturbed."""
         num, shape = self.settings.num_directions, self.space.shape
         return random_search.sample_directions(key, num, shape) * self.space.searched
 
@@ -162,7 +165,7 @@ class Ailsrs(Trainer):
         settings = self.settings
         noise_std = settings.noise_std * settings.noise_decay ** self.done(state)
         weights = random_search.perturb(state.weights, deltas, noise_std)
-        policies = jax.vmap(lambda weights: self.space.policy(weights, state.statistics))(weights)
+        policies = jax.vmap(lambda w: self.space.policy(w, state.hidden, state.statistics))(weights)
         policies = jax.tree.map(lambda x: jnp.repeat(x, settings.num_starts, axis=0), policies)
         return self.simulator(policies, self.starts(key), settings.perturbed_length)
 

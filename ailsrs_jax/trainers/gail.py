@@ -6,14 +6,11 @@ from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import struct
 
-from ailsrs_jax.components import normalizer, trust_region
-from ailsrs_jax.components.descent import descend
+from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.discriminator import LOSSES
-from ailsrs_jax.components.policy import KeptPolicy, keep, perceptron
-from ailsrs_jax.components.sampling import sample_steps
+from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers import presets
@@ -32,14 +29,14 @@ from ailsrs_jax.trainers.parts.actor_critic import (
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
+from ailsrs_jax.trainers.parts.network_clone import clone_network
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
 from ailsrs_jax.trainers.parts.settings import Positive, validate
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
-CLONING_BATCH_SIZE = 128
-CLONING_LEARNING_RATE = 3e-4
+CLONING_RATE = 3e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +95,12 @@ class Gail(Trainer):
             statistics = self.reference.statistics
         actor_critic = make_actor_critic(network_key, self.env, statistics, settings)
         if settings.behavior_cloning_start:
-            actor = clone(actor_critic.actor, self.reference, cloning_key, settings)
-            actor_critic = actor_critic.replace(actor=actor)
+            steps = settings.behavior_cloning_steps
+            start = actor_critic.actor
+            cloned = clone_network(
+                start.layers, start.log_std, self.reference, cloning_key, steps, CLONING_RATE
+            )
+            actor_critic = actor_critic.replace(actor=ActorParameters(*cloned))
         return TrainState(
             actor_critic=actor_critic,
             running=segments.begin(self.env, reset_key, settings.num_envs, settings.episode_length),
@@ -175,29 +176,6 @@ class Gail(Trainer):
     def _inputs(self, steps: Steps) -> jax.Array:
         """Return discriminator inputs ``(T, S, d)``."""
         return self.adversary.inputs(steps.observations, steps.actions, steps.next_observations)
-
-
-def clone(
-    actor: ActorParameters, expert: Reference, key: jax.Array, settings: GailSettings
-) -> ActorParameters:
-    """Clone the expert: make its actions the most likely ones.
-
-    Maximising the likelihood, not only minimising the squared error, also fits the standard
-    deviation to the error of the mean. With a standard deviation of one, noise would hide the
-    clone.
-    """
-    adam = optax.adam(CLONING_LEARNING_RATE)
-
-    def loss(actor: ActorParameters, key: jax.Array) -> tuple[jax.Array, None]:
-        episode, time = sample_steps(key, expert.lengths, CLONING_BATCH_SIZE)
-        means = perceptron(*actor.layers, expert.observations[episode, time])
-        actions = expert.actions[episode, time]
-        return -trust_region.gaussian_log_density(actions, means, actor.log_std).mean(), None
-
-    keys = jax.random.split(key, settings.behavior_cloning_steps)
-    cloned: ActorParameters
-    cloned, *_ = descend(adam, loss, actor, adam.init(actor), keys)
-    return cloned
 
 
 def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: GailSettings) -> Gail:

@@ -63,6 +63,42 @@ def test_only_entries_that_are_seen_are_searched(changed: Any) -> None:
         changed(discriminator_entries="1:3")
 
 
+def test_of_a_cloned_network_the_last_layer_is_searched(
+    changed: Any, point_mass_expert: Demonstrations
+) -> None:
+    trainer = changed(policy="mlp", behavior_cloning_start=True, intercept=True)
+    state = trainer.init(jax.random.key(0))
+    seen = point_mass_expert.observations[point_mass_expert.alive]
+    cloned = np.asarray(jax.vmap(state.kept.policy)(seen))
+    np.testing.assert_allclose(cloned, point_mass_expert.actions[point_mass_expert.alive], atol=0.1)
+
+    after, metrics = jax.jit(trainer.update)(state)
+    assert np.isfinite(metrics["expert_distance"])
+    jax.tree.map(np.testing.assert_array_equal, after.hidden, state.hidden)
+    assert (after.weights != state.weights).all()
+    kept = after.kept.policy
+    np.testing.assert_array_equal(kept.weights[0], state.hidden[0][0])
+    np.testing.assert_array_equal(trainer.space.weights(kept)[:, -1], kept.biases[-1])
+
+    saved = saved_policy(kept, "PointMass-v0")
+    assert isinstance(saved, SavedMlpPolicy)
+    assert not saved.is_stochastic
+    np.testing.assert_allclose(saved(seen), jax.vmap(kept)(seen), atol=1e-5)
+
+
+def test_a_network_sees_its_entries(changed: Any) -> None:
+    trainer = changed(policy="mlp", behavior_cloning_start=True, policy_entries="1:2")
+    policy = trainer.init(jax.random.key(0)).kept.policy
+    one, other = policy(jnp.array([0.0, 1.0])), policy(jnp.array([5.0, 1.0]))
+    np.testing.assert_array_equal(one, other)
+    assert policy(jnp.array([0.0, -1.0])) != one
+
+
+def test_a_network_needs_a_clone(changed: Any) -> None:
+    with pytest.raises(UserError, match="policy=mlp needs behavior_cloning_start=true"):
+        changed(policy="mlp")
+
+
 def test_the_discriminator_sees_its_entries(changed: Any) -> None:
     one, both = changed(discriminator_entries="1:2"), changed()
     assert (one.adversary.input_size, both.adversary.input_size) == (2, 3)

@@ -11,11 +11,12 @@ from flax import struct
 from ailsrs_jax.components import normalizer, trust_region
 from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.normalizer import RunningStatistics
-from ailsrs_jax.components.policy import MlpPolicy, perceptron, repeated
+from ailsrs_jax.components.policy import Layers, MlpPolicy, perceptron, repeated
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.network_clone import draw_layers
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, collect
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
@@ -66,7 +67,6 @@ def require_batches(settings: TrustRegionSettings) -> None:
         )
 
 
-Layers = tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]  # weights (out, in), biases (out,)
 Metrics = dict[str, jax.Array]
 
 
@@ -94,10 +94,11 @@ def make_actor_critic(
 ) -> ActorCritic:
     """Make a policy with a mean near zero everywhere and a standard deviation of one."""
     actor_key, critic_key = jax.random.split(key)
-    critic = _layers(critic_key, env.observation_size, 1, final_scale=1.0)
+    hidden = env.observation_size, *HIDDEN_SIZES
+    critic = draw_layers(critic_key, (*hidden, 1))
     return ActorCritic(
         actor=ActorParameters(
-            layers=_layers(actor_key, env.observation_size, env.action_size, final_scale=0.01),
+            layers=draw_layers(actor_key, (*hidden, env.action_size), final_scale=0.01),
             log_std=jnp.zeros(env.action_size),
         ),
         critic=critic,
@@ -275,14 +276,3 @@ def _values(critic: Layers, observations: jax.Array) -> jax.Array:
 
 def _critic_adam(settings: TrustRegionSettings) -> optax.GradientTransformation:
     return optax.adam(settings.value_learning_rate)
-
-
-def _layers(key: jax.Array, num_inputs: int, num_outputs: int, final_scale: float) -> Layers:
-    sizes = (num_inputs, *HIDDEN_SIZES, num_outputs)
-    keys = jax.random.split(key, len(sizes) - 1)
-    scales = [1.0] * len(HIDDEN_SIZES) + [final_scale]
-    weights = tuple(
-        jax.nn.initializers.orthogonal(scale)(key, (outputs, inputs))
-        for key, scale, inputs, outputs in zip(keys, scales, sizes[:-1], sizes[1:], strict=True)
-    )
-    return weights, tuple(jnp.zeros(size) for size in sizes[1:])

@@ -40,6 +40,8 @@ class AilsrsSettings(AdversarySettings):
     energy_share: UpToOne = 0.0  #: of the energy distance to the expert in a policy's return
     behavior_cloning_start: bool = False
     intercept: bool = False  #: of the policy; it is cloned and searched, too
+    #: mlp: a network of tanh units; it is cloned, and the search changes its last layer
+    policy: Literal["linear", "mlp"] = "linear"
     policy_entries: Entries = "all"  #: of the observation, such as 0:27
     standardize_with: Literal["running", "expert"] = "running"  #: whose statistics
     averaging: UpToOne = 0.0  #: decay, each update, of the mean of the iterates; 0: the iterate
@@ -76,6 +78,11 @@ class AilsrsSettings(AdversarySettings):
             raise UserError(
                 f"reward_after_end is {self.reward_after_end}: imitation_reward=airl, which is "
                 "negative where the policy is told apart, would reward an early end; set it to 1"
+            )
+        if self.policy == "mlp" and not self.behavior_cloning_start:
+            raise UserError(
+                "policy=mlp needs behavior_cloning_start=true: the search changes only the last "
+                "layer of the cloned network"
             )
         if self.recentre_beyond and self.standardize_with == "running":
             raise UserError(

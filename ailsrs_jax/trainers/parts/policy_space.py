@@ -5,20 +5,31 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
 from ailsrs_jax.components.normalizer import RunningStatistics
-from ailsrs_jax.components.policy import LinearPolicy, Policy
+from ailsrs_jax.components.policy import Layers, LinearPolicy, MlpPolicy, Policy, perceptron
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
+from ailsrs_jax.trainers.parts.network_clone import clone_network, draw_layers
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.settings import parse_entries
+
+HIDDEN_SIZES = (64, 64)  # tanh units of a network
+CLONING_STEPS = 20_000  # of Adam
+CLONING_RATE = 1e-3  # its first learning rate; it falls to 0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PolicySpace:
-    """Linear policies of ``env`` with weights ``(p, n + 1)``; the last column is the intercept."""
+    """Policies of ``env`` that are affine in m features, with searched weights ``(p, m + 1)``.
+
+    The last column is the intercept. A linear policy's features are the n entries of the
+    observation. Those of a network are the units of its last hidden layer, and its hidden layers
+    do not change.
+    """
 
     env: Env
     settings: AilsrsSettings
@@ -26,32 +37,68 @@ class PolicySpace:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """``(p, n + 1)``."""
-        return self.env.action_size, self.env.observation_size + 1
+        """``(p, m + 1)``."""
+        is_linear = self.settings.policy == "linear"
+        num_features = self.env.observation_size if is_linear else HIDDEN_SIZES[-1]
+        return self.env.action_size, num_features + 1
 
     @property
     def searched(self) -> np.ndarray:
-        """``(n + 1,)``, 1 for the entries that the policy sees and for its intercept, else 0."""
-        first, end = parse_entries(self.settings.policy_entries, self.env.observation_size)
-        searched = np.zeros(self.shape[1], np.float32)
-        searched[first:end], searched[-1] = 1.0, self.settings.intercept
+        """``(m + 1,)``, 1 for the features that are used and for the intercept, else 0."""
+        searched = np.ones(self.shape[1], np.float32)
+        if self.settings.policy == "linear":
+            searched[:-1] = self._seen
+        searched[-1] = self.settings.intercept
         return searched
 
-    def clone(self) -> jax.Array:
-        """Return the weights ``(p, n + 1)`` of a clone of the expert."""
+    @property
+    def _seen(self) -> np.ndarray:
+        """``(n,)``, 1 for the entries of an observation that the policy sees, else 0."""
+        first, end = parse_entries(self.settings.policy_entries, self.env.observation_size)
+        seen = np.zeros(self.env.observation_size, np.float32)
+        seen[first:end] = 1.0
+        return seen
+
+    def hidden_layers(self, key: jax.Array) -> Layers:
+        """Return the hidden layers of a cloned network; a linear policy has none."""
+        if self.settings.policy == "linear":
+            return (), ()
+        sizes = (self.env.observation_size, *HIDDEN_SIZES, self.env.action_size)
+        draw_key, clone_key = jax.random.split(key)
+        expert = self.reference.replace(observations=self.reference.observations * self._seen)
+        (weights, biases), _ = clone_network(
+            draw_layers(draw_key, sizes),
+            jnp.zeros(self.env.action_size),
+            expert,
+            clone_key,
+            CLONING_STEPS,
+            optax.cosine_decay_schedule(CLONING_RATE, CLONING_STEPS),
+        )
+        first, *others = weights[:-1]
+        return (first * self._seen, *others), biases[:-1]
+
+    def clone(self, hidden: Layers) -> jax.Array:
+        """Return the weights ``(p, m + 1)`` of a clone of the expert."""
         expert = self.reference
-        observations = expert.observations * self.searched[:-1]
+        features = expert.observations
+        if hidden[0]:
+            features = jnp.tanh(perceptron(*hidden, features))
+        features = features * self.searched[:-1]
         if self.settings.intercept:
-            return affine_regression(observations, expert.actions, expert.alive)
-        weights = ridge_regression(observations, expert.actions, expert.alive)
+            return affine_regression(features, expert.actions, expert.alive)
+        weights = ridge_regression(features, expert.actions, expert.alive)
         return jnp.pad(weights, [(0, 0), (0, 1)])
 
-    def policy(self, weights: jax.Array, statistics: RunningStatistics) -> LinearPolicy:
-        """Return the policy of ``weights (p, n + 1)``, with the statistics frozen as they are."""
+    def policy(self, weights: jax.Array, hidden: Layers, statistics: RunningStatistics) -> Policy:
+        """Return the policy of ``weights (p, m + 1)``, with the statistics frozen as they are."""
         standard = statistics.mean, statistics.std, *action_range(self.env)
-        return LinearPolicy(weights[:, :-1], *standard, intercept=weights[:, -1])
+        matrix, bias = weights[:, :-1], weights[:, -1]
+        if not hidden[0]:
+            return LinearPolicy(matrix, *standard, intercept=bias)
+        layers = (*hidden[0], matrix), (*hidden[1], bias)
+        return MlpPolicy(*layers, *standard, action_std=jnp.zeros_like(bias))
 
     def weights(self, policy: Policy) -> jax.Array:
-        """Return the weights ``(p, n + 1)`` of a policy that :meth:`policy` returned."""
+        """Return the weights ``(p, m + 1)`` of a policy that :meth:`policy` returned."""
         matrices, biases = policy.layers
         return jnp.column_stack([matrices[-1], biases[-1]])

@@ -83,7 +83,7 @@ def test_a_run_on_many_devices(alone: Ailsrs, count: int) -> None:
 def test_episodes_are_the_same_bits(point_mass: PointMass, alone: Ailsrs, count: int) -> None:
     state = alone.init(jax.random.key(0))
     weights = jax.random.normal(jax.random.key(1), (16, *state.weights.shape))
-    policies = jax.vmap(lambda w: alone.space.policy(w, state.statistics))(weights)
+    policies = jax.vmap(lambda w: alone.space.policy(w, state.hidden, state.statistics))(weights)
     keys = jax.random.split(jax.random.key(2), 16)
     expected, episodes = (
         jax.jit(lambda s=simulator: s(policies, keys, EPISODE_LENGTH))()

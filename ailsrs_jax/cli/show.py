@@ -95,7 +95,7 @@ def _render_play(
 ) -> None:
     from ailsrs_jax.show.play import write_play
 
-    with terminal.console.status("writing the page"):
+    with terminal.stage("writing the page"):
         names = write_play(policy, output, expert=expert, alone=alone, seed=seed)
     terminal.line(str(output))
     terminal.json({"output": str(output), "policies": names})
@@ -124,8 +124,8 @@ def report(
     from ailsrs_jax.show.reports.report import report
 
     allow_env(env)
-    with terminal.console.status("writing the report"):
-        path = report(directory, output, episodes=episodes, video=not no_video)
+    with terminal.stage("writing the report") as watch:
+        path = report(directory, output, episodes=episodes, video=not no_video, watch=watch)
     terminal.line(str(path))
     terminal.json({"output": str(path)})
 

@@ -13,6 +13,7 @@ from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun
+from ailsrs_jax.show.episodes.frames import Watch
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import replay
 from ailsrs_jax.show.reports.charts import Chart
@@ -94,6 +95,7 @@ def play(
     expert: SavedPolicy | None,
     caption: str,
     run: SavedRun,
+    watch: Watch,
 ) -> Media:
     """Render an episode of each policy and of the expert, as long as those of ``run``."""
     if expert is not None:
@@ -105,7 +107,7 @@ def play(
         replays = [
             replay(policy, seconds=SECONDS, episode_length=length) for policy in policies.values()
         ]
-        uri = Animation(replays, list(policies), SIZES[len(policies)]).data_uri
+        uri = Animation(replays, list(policies), SIZES[len(policies)], watch).data_uri
     except UserError as error:
         return Media(title, None, f"{error}.")
     return Media(title, uri, f"{caption}.")

@@ -5,6 +5,7 @@ from pathlib import Path
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.saved_run import read_run
+from ailsrs_jax.show.episodes.frames import Watch, unwatched
 from ailsrs_jax.show.reports.run_page import EPISODES, run_page
 from ailsrs_jax.show.reports.sweep_page import sweep_page
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE
@@ -16,6 +17,7 @@ def report(
     *,
     episodes: int = EPISODES,
     video: bool = True,
+    watch: Watch = unwatched,
 ) -> Path:
     """Write one self-contained HTML page on a run or a sweep, finished or not.
 
@@ -27,6 +29,7 @@ def report(
         output: the page; by default ``report.html`` in the directory.
         episodes: episodes of each policy of a run, to measure its return.
         video: show the policies, which takes the most time.
+        watch: called with the number of pictures of a video that are drawn, and that of all.
 
     Returns:
         The path of the page.
@@ -49,9 +52,9 @@ def report(
         raise UserError(f"{output} is a link: choose an --output, or remove it")
     require_writable(output)
     if is_sweep:
-        page = sweep_page(directory, video=video)
+        page = sweep_page(directory, video=video, watch=watch)
     else:
-        page = run_page(read_run(directory), episodes=episodes, video=video)
+        page = run_page(read_run(directory), episodes=episodes, video=video, watch=watch)
     write_atomically(output, page.html())
     return output
 

@@ -14,13 +14,15 @@ from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.inspection.run import SeedInspection, inspect_run
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.curves import by_seed
+from ailsrs_jax.show.episodes.frames import Watch, unwatched
 from ailsrs_jax.show.reports.charts import colors_of
 from ailsrs_jax.show.reports.curves import draw_run, seed_name
 from ailsrs_jax.show.reports.page import Media, Page, Part, Tile, millions, play, policies_of
-from ailsrs_jax.show.reports.states import expert_steps, projection, some_states
+from ailsrs_jax.show.reports.states import Met, differences, expert_reference, met_by, projection
 from ailsrs_jax.show.reports.weights import weight_maps
 from ailsrs_jax.show.sweep_report import Table, plus_minus
 from ailsrs_jax.show.video import shipped_expert
+from ailsrs_jax.trainers.parts.reference import Reference
 
 EPISODES = 100
 MEASURES = {  # columns of metrics.csv in the table of seeds, and their titles
@@ -29,7 +31,9 @@ MEASURES = {  # columns of metrics.csv in the table of seeds, and their titles
 }
 
 
-def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> Page:
+def run_page(
+    run: SavedRun, *, episodes: int = EPISODES, video: bool = True, watch: Watch = unwatched
+) -> Page:
     """Return the page of a run.
 
     Raises:
@@ -37,7 +41,8 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     """
     config = run.config
     policies = policies_of(run)
-    evaluations, states, problem = _evaluate(run, policies, episodes)
+    expert = expert_reference(run)
+    evaluations, states, problem = _evaluate(run, policies, expert, episodes)
     inspections = _inspect(run)
     ranked = sorted(policies, key=lambda seed: _rank(seed, evaluations, inspections))
     shown_seeds = ranked[:1] + (ranked[1:][-1:] if evaluations or inspections else [])
@@ -46,18 +51,18 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
     learns_from = "the environment's reward"
     if run.imitates:
         learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
-    expert = expert_steps(run)
     parts: list[Part | None] = [
         _seed_table(run, evaluations, inspections, episodes, problem),
-        _video(run, policies, ends) if video else None,
+        _video(run, policies, ends, watch) if video else None,
         draw_run(run, colors),
     ]
     if ranked:
         best = ranked[0]
         parts.append(weight_maps(f"policy of {seed_name(best)}", policies[best], expert))
     if expert is not None and states:
-        clouds = {seed_name(seed): states[seed] for seed in ends}
-        parts.append(projection(expert, clouds, {name: colors[name] for name in clouds}))
+        met = {seed_name(seed): states[seed] for seed in ends}
+        shown = {name: colors[name] for name in met}
+        parts += [projection(expert, met, shown), differences(expert, met, shown)]
     changed = run.changed_settings()
     versions = dict(config["versions"])
     if config["demonstrations_sha256"] is not None:
@@ -78,9 +83,15 @@ def run_page(run: SavedRun, *, episodes: int = EPISODES, video: bool = True) -> 
 
 
 def _evaluate(
-    run: SavedRun, policies: Mapping[int, SavedPolicy], episodes: int
-) -> tuple[dict[int, Evaluation], dict[int, np.ndarray], str]:
-    """Return an evaluation and some states of each seed, or none and why, as of a task gone."""
+    run: SavedRun,
+    policies: Mapping[int, SavedPolicy],
+    expert: Reference | None,
+    episodes: int,
+) -> tuple[dict[int, Evaluation], dict[int, Met], str]:
+    """Return an evaluation of each seed, and the states it met if the expert's are known.
+
+    There are none where a task is gone, and the last value says why.
+    """
     env_id = run.config["env_id"]
     physics = "gymnasium" if env_id in TASKS or is_gymnasium(env_id) else "auto"
     evaluations, states = {}, {}
@@ -88,7 +99,9 @@ def _evaluate(
         length = saved_horizon(run.config, run.directory)
         for seed, policy in policies.items():
             simulated = evaluation_episodes(policy, episodes, physics, episode_length=length)
-            evaluations[seed], states[seed] = Evaluation.of(simulated), some_states(simulated)
+            evaluations[seed] = Evaluation.of(simulated)
+            if expert is not None:
+                states[seed] = met_by(simulated, expert)
     except UserError as error:
         return {}, {}, f"Not measured: {error}."
     return evaluations, states, ""
@@ -198,7 +211,9 @@ def _seed_table(
     return Table("Seeds", [*header, *measured.values()], rows, "\n\n".join(notes))
 
 
-def _video(run: SavedRun, policies: Mapping[int, SavedPolicy], ends: Mapping[int, str]) -> Media:
+def _video(
+    run: SavedRun, policies: Mapping[int, SavedPolicy], ends: Mapping[int, str], watch: Watch
+) -> Media:
     title = "What it does"
     if not policies:
         return Media(title, None, "No policy is saved yet.")
@@ -208,4 +223,4 @@ def _video(run: SavedRun, policies: Mapping[int, SavedPolicy], ends: Mapping[int
     }
     expert = shipped_expert(run.config["env_id"], run.source)
     which = "The policies of the best and the worst seed" if len(ends) > 1 else "The policy"
-    return play(title, shown, expert, f"{which}, in real time", run)
+    return play(title, shown, expert, f"{which}, in real time", run, watch)

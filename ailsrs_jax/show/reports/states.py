@@ -1,33 +1,42 @@
-"""The expert's steps that a run learned from, and a picture of its and the policies' states."""
+"""Where the states of policies are beside those of the expert that a run learned from."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components import normalizer
+from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.data.sources import content_hash
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.reports.charts import Chart, Line, Panel
 from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.reference import (
+    Reference,
+    distance_features,
+    distance_horizon,
+    make_reference,
+)
 
 NUM_STATES = 500  # of each cloud
+NUM_PARTS = 20  # of an episode, at most
+STEPS_OF_A_PART = 100  # demonstrated ones that its distance needs, at least
+NUM_COMPARED = 250  # steps of each part, from each side
 EXPERT = "expert"
 
 
-class ExpertSteps(NamedTuple):
-    """All steps of the demonstrations of a run."""
+class Met(NamedTuple):
+    """What is shown of the states that a policy met."""
 
-    observations: np.ndarray  # (m, n) in units of their standard deviation
-    actions: np.ndarray  # (m, p)
-    mean: np.ndarray  # (n,)
-    std: np.ndarray  # (n,)
+    states: np.ndarray  # (≤ NUM_STATES, n) in units of the expert's standard deviation
+    times: np.ndarray  # (≤ NUM_PARTS,) the first step of each part of an episode
+    distances: np.ndarray  # of each part, the energy distance to the expert
 
 
-def expert_steps(run: SavedRun) -> ExpertSteps | None:
+def expert_reference(run: SavedRun) -> Reference | None:
     """Return the demonstrations of the shipped expert if they are in the cache and the run's own.
 
     No file that the run names is opened: a stranger's run could name any file.
@@ -45,34 +54,48 @@ def expert_steps(run: SavedRun) -> ExpertSteps | None:
         return None
     if content_hash(given) != config["demonstrations_sha256"] or given.actions is None:
         return None
-    alive, observations = np.asarray(given.alive), np.asarray(given.observations)
-    none = normalizer.init(observations.shape[-1])
-    statistics = normalizer.update(none, jnp.asarray(observations), jnp.asarray(alive))
-    mean, std = np.asarray(statistics.mean), np.asarray(statistics.std)
-    standardized = (observations[alive] - mean) / std
-    return ExpertSteps(standardized, np.asarray(given.actions)[alive], mean, std)
+    entries = config["settings"].get("discriminator_entries", "all")
+    return make_reference(given, int(given.lengths.max()), NUM_STATES, entries)
 
 
-def some_states(episodes: Episodes) -> np.ndarray:
-    """Return observations ``(≤ NUM_STATES, n)`` of live steps, evenly over the episodes."""
-    usable = np.flatnonzero(np.asarray(episodes.usable))
-    observations = np.asarray(episodes.observations)
-    return _some(observations.reshape(-1, observations.shape[-1]), usable)
+def met_by(episodes: Episodes, expert: Reference) -> Met:
+    """Return what is shown of the states of ``episodes``."""
+    usable = np.asarray(episodes.usable).ravel()
+    observations = expert.standardize(episodes.observations)
+    states = np.asarray(observations).reshape(len(usable), -1)[usable]
+    stride = expert.stride
+    episode_length = episodes.observations.shape[1]
+    num_blocks = distance_horizon(expert.observations, stride, episode_length)
+    enough = max(int(expert.lengths.sum()) // STEPS_OF_A_PART, 1)
+    num_parts = min(NUM_PARTS, num_blocks, enough)
+    starts = np.linspace(0, num_blocks, num_parts, endpoint=False).astype(int)
+    size = int(np.diff([*starts, num_blocks]).min())
+    policy = jnp.concatenate([expert.compared(episodes.observations), episodes.actions], axis=-1)
+    demonstrated = jnp.concatenate([expert.compared_observations, expert.actions], axis=-1)
+
+    def features(points: jax.Array, lengths: jax.Array, start: int, size: int) -> jax.Array:
+        part = points[:, start : start + size]
+        key = jax.random.fold_in(jax.random.key(0), start)
+        return distance_features(key, part, lengths - start, size, NUM_COMPARED)
+
+    def distance(start: int) -> float:
+        own = features(policy, episodes.usable_lengths, start * stride, size * stride)
+        its = features(demonstrated, expert.lengths, start, size)
+        return float(energy_distance(own, its, mean_distance(its, its)))
+
+    return Met(some(states), starts * stride, np.array([distance(int(start)) for start in starts]))
 
 
-def projection(
-    expert: ExpertSteps, states: Mapping[str, np.ndarray], colors: Mapping[str, str]
-) -> Chart:
-    """Draw states ``(m, n)`` by name on the two directions in which the expert's vary most.
+def projection(expert: Reference, met: Mapping[str, Met], colors: Mapping[str, str]) -> Chart:
+    """Draw states by the name of the policy on the two directions in which the expert's vary most.
 
     These are the principal components of the expert's standardised observations, by a singular
     value decomposition.
     """
-    centered = expert.observations - expert.observations.mean(axis=0)
-    _, spreads, axes = np.linalg.svd(centered, full_matrices=False)
+    demonstrated = np.asarray(expert.observations[expert.alive])
+    _, spreads, axes = np.linalg.svd(demonstrated - demonstrated.mean(axis=0), full_matrices=False)
     shares = spreads**2 / max(float(np.sum(spreads**2)), 1e-12)
-    clouds = {EXPERT: _some(expert.observations, np.arange(len(expert.observations)))}
-    clouds |= {name: (each - expert.mean) / expert.std for name, each in states.items()}
+    clouds = {EXPERT: some(demonstrated)} | {name: each.states for name, each in met.items()}
     lines = [
         Line(name, cloud @ axes[0], cloud @ axes[1], "cloud") for name, cloud in clouds.items()
     ]
@@ -88,6 +111,26 @@ def projection(
     )
 
 
-def _some(rows: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    few = np.linspace(0, len(indices) - 1, min(NUM_STATES, len(indices))).astype(int)
-    return rows[indices[few]]
+def differences(
+    expert: Reference, met: Mapping[str, Met], colors: Mapping[str, str]
+) -> Chart | None:
+    """Draw the energy distance of each policy to the expert over the time of an episode.
+
+    Returns None if there are too few demonstrated steps to tell parts of an episode apart.
+    """
+    if any(len(each.times) < 2 for each in met.values()):
+        return None
+    lines = [Line(name, each.times, each.distances) for name, each in met.items()]
+    what = "states and actions" if expert.actions.shape[-1] else "states"
+    return Chart(
+        "Where in an episode they differ",
+        [Panel("", "step of the episode", "energy distance", lines, limits=(0.0, None))],
+        colors,
+        f"The energy distance of {what} to the expert's, in each part of an episode. An episode "
+        "that has ended counts as a state of its own.",
+    )
+
+
+def some(rows: np.ndarray) -> np.ndarray:
+    """Return at most ``NUM_STATES`` of the ``rows``, evenly."""
+    return rows[np.linspace(0, len(rows) - 1, min(NUM_STATES, len(rows))).astype(int)]

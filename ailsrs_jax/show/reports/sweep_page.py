@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib import style
 
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
+from ailsrs_jax.show.episodes.frames import Watch, unwatched
 from ailsrs_jax.show.figures import draw_profiles, draw_scores, looks_of
 from ailsrs_jax.show.reports.charts import colors_of
 from ailsrs_jax.show.reports.curves import draw_discriminators, draw_numbers, draw_series, seeds
@@ -21,7 +22,7 @@ MOST_SHOWN = 4  # pictures of a video: the expert and the first three series
 Runs = Mapping[str, SavedRun]  # by the name of their cell
 
 
-def sweep_page(directory: Path, *, video: bool = True) -> Page:
+def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched) -> Page:
     """Return the page of a sweep.
 
     Raises:
@@ -42,7 +43,7 @@ def sweep_page(directory: Path, *, video: bool = True) -> Page:
         draw_numbers(groups, colors),
         *_figures(groups),
         draw_discriminators(groups, runs, colors),
-        *(_videos(groups, runs) if video else []),
+        *(_videos(groups, runs, watch) if video else []),
     ]
     return Page(
         kind="sweep",
@@ -70,7 +71,7 @@ def _facts(results: SweepResults, groups: Sequence[Group]) -> str:
     return " · ".join(facts)
 
 
-def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
+def _videos(groups: Sequence[Group], runs: Runs, watch: Watch) -> list[Media]:
     """Show on each task one run per series: the first seed with the most demonstrations."""
     if not runs:
         return [Media("Policies", None, "There are no runs beside these tables to show.")]
@@ -90,7 +91,8 @@ def _videos(groups: Sequence[Group], runs: Runs) -> list[Media]:
         if policies:
             expert = shipped_expert(task, *(run.source for run in shown.values()))
             caption = "The first seed of each, with the most demonstrations, in real time"
-            videos.append(play(task, policies, expert, caption, next(iter(shown.values()))))
+            one = next(iter(shown.values()))
+            videos.append(play(task, policies, expert, caption, one, watch))
     return videos
 
 

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.linear_regression import affine_regression
@@ -12,7 +11,7 @@ from ailsrs_jax.envs.registry import open_env, require_harmless
 from ailsrs_jax.envs.tasks.entry_names import action_names, observation_names
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.show.reports.states import ExpertSteps
+from ailsrs_jax.trainers.parts.reference import Reference
 
 MOST_ENTRIES = 32  # of an observation that are shown
 
@@ -28,18 +27,17 @@ class WeightMaps:
     caption: str
 
 
-def weight_maps(name: str, policy: SavedPolicy, expert: ExpertSteps | None) -> WeightMaps | None:
+def weight_maps(name: str, policy: SavedPolicy, expert: Reference | None) -> WeightMaps | None:
     """Show the weights of ``policy`` and, if ``expert`` is known, of its clone.
 
     Returns None for a policy that is not linear.
     """
     if not isinstance(policy, SavedLinearPolicy):
         return None
-    scale = policy.std if expert is None else expert.std
+    scale = policy.std if expert is None else np.asarray(expert.statistics.std)
     weights = {name: policy.weights * (scale / policy.std)}
     if expert is not None:
-        observations, actions = map(jnp.asarray, (expert.observations, expert.actions))
-        clone = affine_regression(observations, actions, jnp.ones(len(observations), bool))
+        clone = affine_regression(expert.observations, expert.actions, expert.alive)
         weights["clone of the expert"] = np.asarray(clone)[:, :-1]
     entries, names = _names(policy)
     largest = np.max([np.abs(each).max(axis=0) for each in weights.values()], axis=0)
@@ -54,7 +52,7 @@ def weight_maps(name: str, policy: SavedPolicy, expert: ExpertSteps | None) -> W
         names,
         float(largest.max()) or 1.0,
         "A number is what one standard deviation of an entry of the observation adds to an action."
-        + (" The clone is a linear regression on the demonstrations." if expert else "")
+        + (" The clone is a linear regression on the demonstrations." if expert is not None else "")
         + (f" The {left_out} entries with the smallest weights are left out." if left_out else ""),
     )
 

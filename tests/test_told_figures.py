@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from ailsrs_jax.show.sweep_report import estimate, plus_minus
-from ailsrs_jax.sweeps.statistics import group_cells, interquartile_mean, scores
+from ailsrs_jax.sweeps.statistics import (
+    group_cells,
+    interquartile_mean,
+    median_reached,
+    probability_of_improvement,
+    scores,
+    shared_scores,
+)
 from ailsrs_jax.trainers.parts import reference
 from tests.sweeps.synthetic_sweep import HARD_TASKS, TASKS
 
@@ -51,6 +58,7 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
     cells = results.read_all(results.RESULTS)["little_data"].cells
     rows = {
         "AILSRS, a linear policy": ("AILSRS, 50 transitions", 10),
+        "GAIL, a network": ("GAIL, 50 transitions", 5),
         "a neural clone": ("neural BC, 50 transitions", 10),
         "AILSRS, ten episodes without actions": ("AILSRS, states alone", 3),
     }
@@ -63,6 +71,21 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
             median, worst = np.round([np.median(values), values.min()], 2) + 0.0  # no minus zero
             shown.append(f"{median:.2f}, {worst:.2f}")
         assert f"| {name} | {number} | {' | '.join(shown)} |" in README.read_text(), name
+    groups = group_cells(cells)
+    mine, gail = (
+        [group for group in groups if group.series == f"{name}, 50 transitions"]
+        for name in ("AILSRS", "GAIL")
+    )
+    chance = estimate(probability_of_improvement(shared_scores(mine, gail)))
+    assert f"than one of GAIL with a probability of {chance}." in README.read_text()
+    reached = [
+        median_reached(group.values("steps_to_90"))[0] / 1e6
+        for series in (mine, gail)
+        for group in series
+        if group.env_id == HOPPER
+    ]
+    told = "it reaches 0.9 after {:.2f} M steps, and GAIL after {:.2f} M.".format(*reached)
+    assert told in README.read_text()
 
 
 def test_the_readme_agrees_with_the_results_of_the_search() -> None:

@@ -19,7 +19,9 @@ from ailsrs_jax.sweeps.statistics import (
     interquartile_mean,
     mean_std,
     median_reached,
+    probability_of_improvement,
     scores,
+    shared_scores,
 )
 
 EXPLANATION = """\
@@ -34,6 +36,10 @@ Normalised returns with the 95 % interval of a stratified bootstrap over seeds. 
 task and a number of demonstrations; all series were measured under the conditions of this table.
 An interquartile mean is the mean of the middle half of all runs together. With fewer than four
 runs it is the mean of all."""
+IMPROVED = """\
+The probability that one of its runs has a higher normalised return than a run of the other series:
+the share of all pairs of runs, as a mean over the conditions that the two series share, with the
+95 % interval of a stratified bootstrap over seeds. A tie counts half."""
 TIMED = "Wall-clock time of one seed: the median over seeds. Brackets: how many seeds reached it."
 
 
@@ -86,7 +92,11 @@ def result_tables(results: SweepResults) -> list[Table]:
 
 
 def aggregate_tables(groups: Sequence[Group]) -> list[Table]:
-    """Return the table of interquartile means, or nothing where series cannot be compared."""
+    """Return the tables that compare series over all tasks, where they can be compared."""
+    return [*_interquartile_means(groups), *_improvements(groups)]
+
+
+def _interquartile_means(groups: Sequence[Group]) -> list[Table]:
     common = comparable(groups)
     if not common or not all(common.values()):
         return []
@@ -99,6 +109,22 @@ def aggregate_tables(groups: Sequence[Group]) -> list[Table]:
     number = len({group.condition for mine in common.values() for group in mine})
     title = f"Interquartile means over {number} condition{'s' * (number > 1)}"
     return [Table(title, ["", "runs", "kept policy", "over training"], rows, COMPARED)]
+
+
+def _improvements(groups: Sequence[Group]) -> list[Table]:
+    """Compare the first series, of AILSRS if there is one, with the others one by one."""
+    by_series: dict[str, list[Group]] = {}
+    for group in sorted(groups, key=lambda group: group.cells[0].algorithm != "ailsrs"):
+        by_series.setdefault(group.series, []).append(group)
+    first = next(iter(by_series), "")
+    rows = []
+    for series in list(by_series)[1:]:
+        pairs = shared_scores(by_series[first], by_series[series])
+        if pairs:
+            chance = estimate(probability_of_improvement(pairs))
+            rows.append([series, str(len(pairs)), chance])
+    title = f"How often {first} scores higher"
+    return [Table(title, ["than", "conditions", "probability"], rows, IMPROVED)] if rows else []
 
 
 def timings_table(results: SweepResults) -> str:

@@ -130,6 +130,15 @@ def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
     return {series: list(filter(is_shared, mine)) for series, mine in by_series.items()}
 
 
+def shared_scores(
+    mine: Iterable[Group], others: Iterable[Group]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the finite scores of two series, in pairs, under each condition that they share."""
+    others = list(others)
+    pairs = [scores([one, other]) for one in mine for other in others if _match(one, other)]
+    return [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
+
+
 def _match(one: Group, other: Group) -> bool:
     numbers = {one.num_trajectories, other.num_trajectories}
     return one.env_id == other.env_id and (len(numbers) == 1 or None in numbers)
@@ -138,6 +147,25 @@ def _match(one: Group, other: Group) -> bool:
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
     """Compute the mean of the middle half of all scores; for the interval see :func:`bootstrap`."""
     return bootstrap(strata, lambda scores: stats.trim_mean(scores, proportiontocut=0.25, axis=-1))
+
+
+def probability_of_improvement(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
+    """Estimate P(X > Y) from the scores of X and Y in each condition; a tie counts half.
+
+    It is the mean over conditions of the share of pairs of runs in which X scores higher.
+    """
+    strata = [scores for pair in pairs for scores in pair]
+    ends = np.cumsum([len(scores) for scores in strata])[:-1]
+
+    def probability(scores: np.ndarray) -> np.ndarray:
+        samples = np.split(scores, ends, axis=-1)
+        signs = [
+            np.sign(x[..., :, None] - y[..., None, :]).mean(axis=(-2, -1))
+            for x, y in zip(samples[::2], samples[1::2])
+        ]
+        return 0.5 + 0.5 * np.mean(signs, axis=0)
+
+    return bootstrap(strata, probability)
 
 
 def performance_profile(strata: Sequence[np.ndarray]) -> Estimate:

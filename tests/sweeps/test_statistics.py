@@ -2,10 +2,25 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from ailsrs_jax.sweeps import statistics
 from ailsrs_jax.sweeps.results import Curve
 from tests.sweeps.synthetic_sweep import cells, row
+
+
+def test_probability_of_improvement_counts_pairs_in_each_condition() -> None:
+    better, worse = np.array([3.0, 4.0]), np.array([1.0, 2.0, 0.0])
+    even = np.array([1.0, 2.0]), np.array([1.0, 2.0])
+    estimate = statistics.probability_of_improvement([(better, worse), even])
+    assert estimate.value == pytest.approx((1.0 + 0.5) / 2)
+    assert estimate.low <= estimate.value <= estimate.high
+    mirrored = statistics.probability_of_improvement([(worse, better), even])
+    assert mirrored.value == pytest.approx(1 - estimate.value)
+    # SciPy's U counts the same pairs.
+    x, y = np.random.default_rng(0).normal(size=(2, 9))
+    counted = stats.mannwhitneyu(x, y).statistic / (len(x) * len(y))
+    assert statistics.probability_of_improvement([(x, y)]).value == pytest.approx(counted)
 
 
 def test_interquartile_mean_is_the_mean_of_the_middle_half_of_all_strata() -> None:

@@ -98,16 +98,28 @@ class KeptPolicy(struct.PyTreeNode):
     """The best policy so far, by a score; and the last one that was a candidate."""
 
     policy: Policy
-    score: jax.Array  # () higher is better; −∞ before the first candidate
+    score: jax.Array  # () its own, higher is better; −∞ before the first candidate
+    highest: jax.Array  # () the highest score of all candidates
     iteration: jax.Array  # () int32, in which it was found
     offered: Policy  # the last candidate
 
-    def offer(self, policy: Policy, score: jax.Array, iteration: jax.Array) -> "KeptPolicy":
-        """Keep ``policy`` instead if its score is higher; NaN is never higher."""
-        candidate = KeptPolicy(policy, score, iteration, policy)
-        better = score > self.score
+    def offer(
+        self,
+        policy: Policy,
+        score: jax.Array,
+        iteration: jax.Array,
+        within: jax.Array | float = 1.0,
+    ) -> "KeptPolicy":
+        """Keep ``policy`` instead if its score is above the highest; NaN is never above it.
+
+        Where scores are negative distances, a later policy is also kept if its distance is less
+        than ``within`` times the smallest.
+        """
+        highest = jnp.fmax(score, self.highest)
+        candidate = KeptPolicy(policy, score, highest, iteration, policy)
+        better = score > within * self.highest
         kept = jax.tree.map(lambda new, old: jnp.where(better, new, old), candidate, self)
-        return kept.replace(offered=policy)
+        return kept.replace(highest=highest, offered=policy)
 
 
 def keep(policy: Policy) -> KeptPolicy:
@@ -115,6 +127,7 @@ def keep(policy: Policy) -> KeptPolicy:
     return KeptPolicy(
         policy,
         score=jnp.full((), -jnp.inf, jnp.float32),
+        highest=jnp.full((), -jnp.inf, jnp.float32),
         iteration=jnp.zeros((), jnp.int32),
         offered=policy,
     )

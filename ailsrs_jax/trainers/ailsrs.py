@@ -102,7 +102,7 @@ class Ailsrs(Trainer):
             "expert_distance": distance,
             **evaluation.counts(),
         }
-        kept = state.kept.offer(policy, -distance, state.iteration)
+        kept = state.kept.offer(policy, -distance, state.iteration, settings.keep_within)
         if is_used(settings.recentre_beyond):
             is_far = distance > settings.recentre_beyond * -kept.score
             center = self.space.weights(kept.policy)

@@ -83,7 +83,13 @@ AILSRS: Presets = {
             "averaging": 0.5,
             "num_evaluation_episodes": 12,
         },
-        "Swimmer-v5": {"num_iterations": 18, "cycle_iterations": 6, "finish_distance": 0.05},
+        # Its distances are so small that chance decides which is the smallest.
+        "Swimmer-v5": {
+            "num_iterations": 18,
+            "cycle_iterations": 6,
+            "finish_distance": 0.05,
+            "keep_within": 1.25,
+        },
     },
 }
 

@@ -1,6 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.policy import LinearPolicy, keep
@@ -37,6 +38,16 @@ def test_the_better_policy_is_kept() -> None:
     assert float(kept.score) == -1.0
     np.testing.assert_array_equal(kept.policy.weights, jnp.ones((1, 2)))
     np.testing.assert_array_equal(kept.offered.weights, 3.0 * jnp.ones((1, 2)))
+
+
+def test_the_latest_of_nearly_the_smallest_distance_is_kept() -> None:
+    distances = [1.2, 1.0, 1.2, 1.3, 1.2, 2.0, 0.9, 1.1, 1.2]
+    kept, found = keep(some_policy()), []
+    for iteration, distance in enumerate(distances):
+        kept = kept.offer(some_policy(), jnp.asarray(-distance), jnp.array(iteration), within=1.25)
+        found.append(int(kept.iteration))
+    assert found == [0, 1, 2, 2, 4, 4, 6, 7, 7]  # 1.3 and 2 are not within 1.25, nor is 1.2 of 0.9
+    assert float(kept.score) == pytest.approx(-1.1)
 
 
 def test_ridge_regression_recovers_a_linear_map_and_ignores_the_masked() -> None:

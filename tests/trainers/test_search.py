@@ -283,7 +283,7 @@ def test_training_ends_after_a_cycle_that_came_close(close: bool, changed: Any) 
     trainer = changed(num_iterations=4, cycle_iterations=2, finish_distance=0.2)
     update, distance = jax.jit(trainer.update), 0.1 if close else 0.4
     state = trainer.init(jax.random.key(0))
-    kept = state.kept.replace(score=jnp.full((), -distance))
+    kept = state.kept.replace(score=jnp.full((), -distance), highest=jnp.zeros(()))
     finished, done = [], []
     for _ in range(4):
         state, _ = update(state.replace(kept=kept))

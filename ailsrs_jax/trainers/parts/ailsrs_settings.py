@@ -5,7 +5,14 @@ from typing import Literal
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.adversary import AdversarySettings
-from ailsrs_jax.trainers.parts.settings import Entries, FromZero, Positive, PositiveUpToOne, UpToOne
+from ailsrs_jax.trainers.parts.settings import (
+    Entries,
+    FromOne,
+    FromZero,
+    Positive,
+    PositiveUpToOne,
+    UpToOne,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +55,8 @@ class AilsrsSettings(AdversarySettings):
     #: times the distance of the kept policy: after an evaluation with a larger distance, the search
     #: goes on from the kept policy; 0: never
     recentre_beyond: float = 0.0
+    #: times the smallest distance: a later policy that is nearer than this is kept instead
+    keep_within: FromOne = 1.0
     num_evaluation_episodes: int = 4
     num_distance_samples: int = 1500  #: from each side, for the choice of the policy to keep
 

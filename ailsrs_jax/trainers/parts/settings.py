@@ -19,6 +19,7 @@ FromZero = Annotated[int, "from 0"]
 Positive = Annotated[float, "positive"]
 UpToOne = Annotated[float, "at most 1"]
 PositiveUpToOne = Annotated[float, "positive", "at most 1"]
+FromOne = Annotated[float, "at least 1"]
 Signed = Annotated[float, "signed"]
 Entries = Annotated[str, re.compile(r"all|\d+:\d+")]  # of an observation; see :func:`parse_entries`
 
@@ -146,6 +147,8 @@ def _problem(value: Any, kind: Any) -> str:
         return "be positive"
     if "signed" not in bounds and value < 0:
         return "not be negative"
+    if "at least 1" in bounds and value < 1:
+        return "be at least 1"
     return "be at most 1" if "at most 1" in bounds and value > 1 else ""
 
 

@@ -34,6 +34,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "step_size is [[1], [1, 2]]: it must be a number": {"step_size": [[1], [1, 2]]},
     "gradient_penalty is inf: it must be finite": {"gradient_penalty": np.inf},
     "gradient_penalty is -1: it must not be negative": {"gradient_penalty": -1},
+    "keep_within is 0.5: it must be at least 1": {"keep_within": 0.5},
     "reward_after_end is 2: it must be at most 1": {"reward_after_end": 2},
 }
 

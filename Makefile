@@ -6,7 +6,7 @@ ARGS ?=
 .PHONY: train test test-matrix lint docs peer clean
 
 train: $(VENV)/package
-	$(VENV)/bin/ailsrs train hopper $(ARGS)
+	$(VENV)/bin/ailsrs train swimmer $(ARGS)
 
 test: $(VENV)/installed
 	$(VENV)/bin/pytest $(ARGS)

@@ -3,8 +3,8 @@
 usage: python experiments/keeping.py DIRECTORY     (experiments/results/paper, or any sweep's)
 
 For each cell of AILSRS and GAIL, it prints the evaluation return of three iterates: the kept one,
-which has the smallest energy distance to the expert; the last one; and the best one, which only the
-reward can identify. It also prints Spearman's rank correlation of distance and return over the
+which was chosen by its energy distance to the expert; the last one; and the best one, which only
+the reward can identify. It also prints Spearman's rank correlation of distance and return over the
 iterates.
 """
 
@@ -23,10 +23,12 @@ def main() -> None:
     """Print one row for each cell."""
     directory = Path(sys.argv[1])
     kept_by_distance = {
-        cell.cell for cell in read_results(directory).done if cell.algorithm in ("ailsrs", "gail")
+        cell.cell: cell.kept_iteration
+        for cell in read_results(directory).done
+        if cell.algorithm in ("ailsrs", "gail")
     }
     header, *rows = read_rows(directory / "curves.csv")
-    name, *wanted = map(header.index, ("cell", "evaluation_return", "expert_distance"))
+    name, *wanted = map(header.index, ("cell", "iteration", "evaluation_return", "expert_distance"))
     curves = defaultdict(list)
     for row in rows:
         if row[name] in kept_by_distance:
@@ -34,12 +36,10 @@ def main() -> None:
     print("| cell | kept | last | best | Spearman |")
     print("|---|---|---|---|---|")
     for cell, curve in curves.items():
-        returns, distances = np.array(curve).T
+        iterations, returns, distances = np.array(curve).T
+        (kept,) = returns[iterations == kept_by_distance[cell]]
         rank = stats.spearmanr(distances, returns).statistic if len(returns) > 1 else np.nan
-        print(
-            f"| {cell} | {returns[distances.argmin()]:.0f} | {returns[-1]:.0f} | "
-            f"{returns.max():.0f} | {rank:.2f} |"
-        )
+        print(f"| {cell} | {kept:.0f} | {returns[-1]:.0f} | {returns.max():.0f} | {rank:.2f} |")
 
 
 if __name__ == "__main__":

@@ -66,7 +66,9 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         shown = []
         for task in (CHEETAH, HOPPER, SWIMMER):
             mine = [cell for cell in cells if (cell.label, cell.env_id) == (label, task)]
-            assert sorted(cell.seed for cell in mine if cell.done) == list(range(number)), task
+            first = 10 * (task == SWIMMER and name.startswith("AILSRS"))
+            seeds = sorted(cell.seed for cell in mine if cell.done)
+            assert seeds == list(range(first, first + number)), task
             values = np.array([cell.normalized for cell in mine])
             median, worst = np.round([np.median(values), values.min()], 2) + 0.0  # no minus zero
             shown.append(f"{median:.2f}, {worst:.2f}")
@@ -77,15 +79,20 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         for name in ("AILSRS", "GAIL")
     )
     chance = estimate(probability_of_improvement(shared_scores(mine, gail)))
-    assert f"than one of GAIL with a probability of {chance}." in README.read_text()
-    reached = [
-        median_reached(group.values("steps_to_90"))[0] / 1e6
-        for series in (mine, gail)
-        for group in series
-        if group.env_id == HOPPER
-    ]
+    assert f"than one of GAIL with a probability of {chance}," in README.read_text()
+    of_hopper = [next(group for group in each if group.env_id == HOPPER) for each in (mine, gail)]
+    reached = [median_reached(group.values("steps_to_90"))[0] / 1e6 for group in of_hopper]
     told = "it reaches 0.9 after {:.2f} M steps, and GAIL after {:.2f} M.".format(*reached)
     assert told in README.read_text()
+    of_mine, of_gail = (
+        [group.values("env_steps").mean() / 1e6 for group in each] for each in (mine, gail)
+    )
+    told = f"GAIL had {min(of_gail):.1f} to {max(of_gail):.1f} M steps,"
+    assert told in README.read_text()
+    told = (
+        "had {:.1f} M steps on HalfCheetah, {:.1f} M on Hopper and {:.1f} M on Swimmer, as means."
+    )
+    assert told.format(*of_mine) in README.read_text()
 
 
 def test_the_readme_agrees_with_the_results_of_the_search() -> None:

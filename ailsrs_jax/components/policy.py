@@ -95,7 +95,7 @@ def repeated(policy: Any, num_policies: int) -> Any:
 
 
 class KeptPolicy(struct.PyTreeNode):
-    """The best policy so far, by a score; and the last one that was a candidate."""
+    """A policy with the best score so far or, with ``within``, nearly; and the last candidate."""
 
     policy: Policy
     score: jax.Array  # () its own, higher is better; −∞ before the first candidate
@@ -110,10 +110,9 @@ class KeptPolicy(struct.PyTreeNode):
         iteration: jax.Array,
         within: jax.Array | float = 1.0,
     ) -> "KeptPolicy":
-        """Keep ``policy`` instead if its score is above the highest; NaN is never above it.
+        """Keep ``policy`` instead if its score is above ``within`` times the highest so far.
 
-        Where scores are negative distances, a later policy is also kept if its distance is less
-        than ``within`` times the smallest.
+        Scores are negative distances if ``within`` is above 1. NaN is never kept.
         """
         highest = jnp.fmax(score, self.highest)
         candidate = KeptPolicy(policy, score, highest, iteration, policy)

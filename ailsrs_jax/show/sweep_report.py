@@ -37,9 +37,9 @@ task and a number of demonstrations; all series were measured under the conditio
 An interquartile mean is the mean of the middle half of all runs together. With fewer than four
 runs it is the mean of all."""
 IMPROVED = """\
-The probability that one of its runs has a higher normalised return than a run of the other series:
-the share of all pairs of runs, as a mean over the conditions that the two series share, with the
-95 % interval of a stratified bootstrap over seeds. A tie counts half."""
+The probability that a run of the series in the title has a higher normalised return than a run of
+the series in the row: the share of all pairs of runs, as a mean over the conditions that the two
+share, with the 95 % interval of a stratified bootstrap over seeds. A tie counts half."""
 TIMED = "Wall-clock time of one seed: the median over seeds. Brackets: how many seeds reached it."
 
 
@@ -75,7 +75,7 @@ def results_table(results: SweepResults) -> str:
 
 
 def result_tables(results: SweepResults) -> list[Table]:
-    """Return the table of interquartile means, a table per task, and what failed or did not run."""
+    """Return the tables that compare series, a table per task, and what failed or did not run."""
     groups = group_cells(results.cells)
     tables = aggregate_tables(groups)
     for task in dict.fromkeys(group.env_id for group in groups):
@@ -112,7 +112,7 @@ def _interquartile_means(groups: Sequence[Group]) -> list[Table]:
 
 
 def _improvements(groups: Sequence[Group]) -> list[Table]:
-    """Compare the first series, of AILSRS if there is one, with the others one by one."""
+    """Compare the first series of AILSRS with each other one; without AILSRS, the first of all."""
     by_series: dict[str, list[Group]] = {}
     for group in sorted(groups, key=lambda group: group.cells[0].algorithm != "ailsrs"):
         by_series.setdefault(group.series, []).append(group)
@@ -123,7 +123,7 @@ def _improvements(groups: Sequence[Group]) -> list[Table]:
         if pairs:
             chance = estimate(probability_of_improvement(pairs))
             rows.append([series, str(len(pairs)), chance])
-    title = f"How often {first} scores higher"
+    title = f"Probability that {first} scores higher"
     return [Table(title, ["than", "conditions", "probability"], rows, IMPROVED)] if rows else []
 
 

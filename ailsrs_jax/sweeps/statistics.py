@@ -134,8 +134,8 @@ def shared_scores(
     mine: Iterable[Group], others: Iterable[Group]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the finite scores of two series, in pairs, under each condition that they share."""
-    others = list(others)
-    pairs = [scores([one, other]) for one in mine for other in others if _match(one, other)]
+    there = {group.condition: group for group in others}
+    pairs = [scores([one, there[one.condition]]) for one in mine if one.condition in there]
     return [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
 
 

@@ -34,11 +34,11 @@ class TrainState(struct.PyTreeNode):
 
     weights: jax.Array  # (p, m + 1), the last column is the intercept
     mean_weights: jax.Array  # (p, m + 1), mean of the iterates
-    hidden: Layers  # of the policy, fixed; a linear one, where m = n, has none
+    hidden: Layers  # of a network, which never change; empty for a linear policy, where m = n
     statistics: RunningStatistics  # what observations are standardised with
     adversary: AdversaryState
     memory: StepMemory  # discriminator inputs of recent policies
-    kept: KeptPolicy  # closest to the expert so far, by energy distance
+    kept: KeptPolicy  # by the energy distance to the expert
     key: jax.Array
     iteration: jax.Array  # () int32
     num_updates: jax.Array  # () int32, steps of the search so far

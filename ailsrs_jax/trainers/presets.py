@@ -83,7 +83,7 @@ AILSRS: Presets = {
             "averaging": 0.5,
             "num_evaluation_episodes": 12,
         },
-        # Its distances are so small that chance decides which is the smallest.
+        # Swimmer's distances are so small that chance decides which is the smallest.
         "Swimmer-v5": {
             "num_iterations": 18,
             "cycle_iterations": 6,

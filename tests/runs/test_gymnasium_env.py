@@ -24,6 +24,7 @@ SMALL = {
     "num_top_directions": 2,
     "num_evaluation_episodes": 2,
     "discriminator_steps": 2,
+    "discriminator_batch_size": 32,
     "memory_samples": 16,
     "num_distance_samples": 50,
     "episode_length": 30,

@@ -35,6 +35,8 @@ def test_a_sweep_leaves_tables_and_figures(tmp_path: Path) -> None:
     assert "Interquartile means over 10 conditions" in table
     assert "| AILSRS | 20 of 20 | 0.96 [0.95, 0.97] | 0.58 [0.57, 0.58] |" in table
     assert "| BC | 18 of 19 | 0.51 | 0.31 |" in table  # a condition with one seed: no interval
+    assert "## Probability that AILSRS scores higher" in table
+    assert "| BC | 10 | 1.00 |" in table
     means = "3111 ± 46 | 3240 | 0.96 ± 0.01 | 3111 ± 46 | 0.58 ± 0.01"
     assert f"| AILSRS | 10 | 2 of 2 | {means} | 0.50 M (2 of 2) |" in table
     assert "| BC | 10 | 1 of 2 | 1693 | 3240 | 0.52 | 1693 | 0.31 | – (0 of 1) |" in table

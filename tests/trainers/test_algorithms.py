@@ -22,7 +22,9 @@ DISTANCE = {"num_distance_samples": 50}
 TINY: dict[str, dict[str, Any]] = {
     "ailsrs": SEARCH | DISTANCE | {"discriminator_batch_size": 16, "memory_samples": 16},
     "bc": COMMON | DISTANCE | {"gradient_steps": 5},
-    "gail": TRUST_REGION | DISTANCE | {"discriminator_batch_size": 16},
+    "gail": TRUST_REGION
+    | DISTANCE
+    | {"discriminator_batch_size": 16, "behavior_cloning_steps": 20},
     "ars": SEARCH,
     "brs": SEARCH,
     "trpo": TRUST_REGION,

@@ -15,6 +15,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
+from ailsrs_jax.trainers.parts import policy_space
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
 
@@ -63,6 +64,12 @@ def test_only_entries_that_are_seen_are_searched(changed: Any) -> None:
         changed(discriminator_entries="1:3")
 
 
+@pytest.fixture
+def cloned_in_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(policy_space, "CLONING_STEPS", 1000)
+
+
+@pytest.mark.usefixtures("cloned_in_short")
 def test_of_a_cloned_network_the_last_layer_is_searched(
     changed: Any, point_mass_expert: Demonstrations
 ) -> None:
@@ -86,6 +93,7 @@ def test_of_a_cloned_network_the_last_layer_is_searched(
     np.testing.assert_allclose(saved(seen), jax.vmap(kept)(seen), atol=1e-5)
 
 
+@pytest.mark.usefixtures("cloned_in_short")
 def test_a_network_sees_its_entries(changed: Any) -> None:
     trainer = changed(policy="mlp", behavior_cloning_start=True, policy_entries="1:2")
     policy = trainer.init(jax.random.key(0)).kept.policy

@@ -62,7 +62,7 @@ def run_page(
     if expert is not None and states:
         met = {seed_name(seed): states[seed] for seed in ends}
         shown = {name: colors[name] for name in met}
-        parts += [projection(expert, met, shown), differences(expert, met, shown)]
+        parts += [projection(expert, met, shown), differences(met, shown)]
     changed = run.changed_settings()
     versions = dict(config["versions"])
     if config["demonstrations_sha256"] is not None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
@@ -13,6 +12,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.reports.charts import Chart, Line, Panel
+from ailsrs_jax.trainers.parts.adversary import AdversarySettings
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.reference import (
     Reference,
@@ -20,12 +20,14 @@ from ailsrs_jax.trainers.parts.reference import (
     distance_horizon,
     make_reference,
 )
+from ailsrs_jax.trainers.parts.settings import override
 
 NUM_STATES = 500  # of each cloud
 NUM_PARTS = 20  # of an episode, at most
-STEPS_OF_A_PART = 100  # demonstrated ones that its distance needs, at least
+STEPS_OF_A_PART = 100  # demonstrated ones, in the mean, that its distance needs
 NUM_COMPARED = 250  # steps of each part, from each side
 EXPERT = "expert"
+USED = ("discriminator_entries", "leave_out_beyond")  # settings
 
 
 class Met(NamedTuple):
@@ -50,40 +52,52 @@ def expert_reference(run: SavedRun) -> Reference | None:
         given = expert_demonstrations(env_id, number, physics, of_paper=of_paper, only_cached=True)
         if config["subsample"] != 1:
             given = given.subsample(config["subsample"])
+        if content_hash(given) != config["demonstrations_sha256"] or given.actions is None:
+            return None
+        used = {name: value for name, value in config["settings"].items() if name in USED}
+        settings = override(AdversarySettings(), used)
+        entries, beyond = settings.discriminator_entries, settings.leave_out_beyond
+        return make_reference(given, given.time_limit, NUM_STATES, entries, beyond)
     except UserError:
         return None
-    if content_hash(given) != config["demonstrations_sha256"] or given.actions is None:
-        return None
-    entries = config["settings"].get("discriminator_entries", "all")
-    return make_reference(given, int(given.lengths.max()), NUM_STATES, entries)
 
 
 def met_by(episodes: Episodes, expert: Reference) -> Met:
     """Return what is shown of the states of ``episodes``."""
-    usable = np.asarray(episodes.usable).ravel()
-    observations = expert.standardize(episodes.observations)
-    states = np.asarray(observations).reshape(len(usable), -1)[usable]
+    usable = np.argwhere(episodes.usable)
+    states = expert.standardize(episodes.observations[tuple(_some(usable).T)])
     stride = expert.stride
     episode_length = episodes.observations.shape[1]
     num_blocks = distance_horizon(expert.observations, stride, episode_length)
     enough = max(int(expert.lengths.sum()) // STEPS_OF_A_PART, 1)
     num_parts = min(NUM_PARTS, num_blocks, enough)
     starts = np.linspace(0, num_blocks, num_parts, endpoint=False).astype(int)
+    # All have the size of the smallest, so that one program serves all.
     size = int(np.diff([*starts, num_blocks]).min())
-    policy = jnp.concatenate([expert.compared(episodes.observations), episodes.actions], axis=-1)
-    demonstrated = jnp.concatenate([expert.compared_observations, expert.actions], axis=-1)
-
-    def features(points: jax.Array, lengths: jax.Array, start: int, size: int) -> jax.Array:
-        part = points[:, start : start + size]
-        key = jax.random.fold_in(jax.random.key(0), start)
-        return distance_features(key, part, lengths - start, size, NUM_COMPARED)
 
     def distance(start: int) -> float:
-        own = features(policy, episodes.usable_lengths, start * stride, size * stride)
-        its = features(demonstrated, expert.lengths, start, size)
-        return float(energy_distance(own, its, mean_distance(its, its)))
+        key, expert_key = jax.random.split(jax.random.fold_in(jax.random.key(0), start))
+        its = distance_features(
+            expert_key,
+            expert.points[:, start : start + size],
+            expert.lengths - start,
+            size,
+            NUM_COMPARED,
+        )
+        first, after = start * stride, (start + size) * stride
+        mine = distance_features(
+            key,
+            expert.points_of(
+                episodes.observations[:, first:after], episodes.actions[:, first:after]
+            ),
+            episodes.usable_lengths - first,
+            after - first,
+            NUM_COMPARED,
+        )
+        return float(energy_distance(mine, its, mean_distance(its, its)))
 
-    return Met(some(states), starts * stride, np.array([distance(int(start)) for start in starts]))
+    distances = np.array([distance(int(start)) for start in starts])
+    return Met(np.asarray(states), starts * stride, distances)
 
 
 def projection(expert: Reference, met: Mapping[str, Met], colors: Mapping[str, str]) -> Chart:
@@ -95,7 +109,7 @@ def projection(expert: Reference, met: Mapping[str, Met], colors: Mapping[str, s
     demonstrated = np.asarray(expert.observations[expert.alive])
     _, spreads, axes = np.linalg.svd(demonstrated - demonstrated.mean(axis=0), full_matrices=False)
     shares = spreads**2 / max(float(np.sum(spreads**2)), 1e-12)
-    clouds = {EXPERT: some(demonstrated)} | {name: each.states for name, each in met.items()}
+    clouds = {EXPERT: _some(demonstrated)} | {name: each.states for name, each in met.items()}
     lines = [
         Line(name, cloud @ axes[0], cloud @ axes[1], "cloud") for name, cloud in clouds.items()
     ]
@@ -111,9 +125,7 @@ def projection(expert: Reference, met: Mapping[str, Met], colors: Mapping[str, s
     )
 
 
-def differences(
-    expert: Reference, met: Mapping[str, Met], colors: Mapping[str, str]
-) -> Chart | None:
+def differences(met: Mapping[str, Met], colors: Mapping[str, str]) -> Chart | None:
     """Draw the energy distance of each policy to the expert over the time of an episode.
 
     Returns None if there are too few demonstrated steps to tell parts of an episode apart.
@@ -121,16 +133,15 @@ def differences(
     if any(len(each.times) < 2 for each in met.values()):
         return None
     lines = [Line(name, each.times, each.distances) for name, each in met.items()]
-    what = "states and actions" if expert.actions.shape[-1] else "states"
     return Chart(
         "Where in an episode they differ",
         [Panel("", "step of the episode", "energy distance", lines, limits=(0.0, None))],
         colors,
-        f"The energy distance of {what} to the expert's, in each part of an episode. An episode "
-        "that has ended counts as a state of its own.",
+        "The energy distance of states and actions to the expert's, in each part of an episode. "
+        "The time after an episode's end counts as a state of its own.",
     )
 
 
-def some(rows: np.ndarray) -> np.ndarray:
+def _some(rows: np.ndarray) -> np.ndarray:
     """Return at most ``NUM_STATES`` of the ``rows``, evenly."""
     return rows[np.linspace(0, len(rows) - 1, min(NUM_STATES, len(rows))).astype(int)]

@@ -47,10 +47,13 @@ def clone_network(
     Args:
         layers: of the mean, for standardised observations.
         log_std: ``(p,)`` the logarithm of the standard deviation.
-        expert: with actions.
+        expert: the demonstrations, which must hold actions.
         key: of the minibatches.
         num_steps: of Adam.
         learning_rate: of Adam.
+
+    Returns:
+        The trained layers and the trained logarithm of the standard deviation.
     """
     adam = optax.adam(learning_rate)
 

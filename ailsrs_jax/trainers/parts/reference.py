@@ -65,6 +65,16 @@ class Reference(struct.PyTreeNode):
         """The compared entries of the expert's observations, standardised, ``(E, T, ·)``."""
         return self.observations[..., slice(*self.entries)]
 
+    @property
+    def points(self) -> jax.Array:
+        """The expert's steps as they are compared: entries and known actions, ``(E, T, ·)``."""
+        return jnp.concatenate([self.compared_observations, self.actions], axis=-1)
+
+    def points_of(self, observations: jax.Array, actions: jax.Array) -> jax.Array:
+        """Return the same of a policy's ``observations (..., n)`` and ``actions (..., p)``."""
+        actions = actions[..., : self.actions.shape[-1]]
+        return jnp.concatenate([self.compared(observations), actions], axis=-1)
+
     def unstandardize(self, observations: jax.Array) -> jax.Array:
         """Return standardised observations ``(..., n)`` in the environment's units."""
         return observations * self.statistics.std + self.statistics.mean
@@ -93,9 +103,7 @@ class Reference(struct.PyTreeNode):
             num_samples: the steps of each group that are compared.
         """
         horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
-        # Actions are compared where the expert's are known.
-        actions = episodes.actions[..., : self.actions.shape[-1]]
-        points = jnp.concatenate([self.compared(episodes.observations), actions], axis=-1)
+        points = self.points_of(episodes.observations, episodes.actions)
 
         def of_group(group: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
             features = distance_features(*group, horizon, num_samples)
@@ -173,7 +181,7 @@ def unlike_the_others(reference: Reference, horizon: int, times: float) -> np.nd
     is more than ``times`` the median of these distances. No reward is used.
     """
     features, spread = reference.distance_features, reference.distance_spread
-    points = jnp.concatenate([reference.compared_observations, reference.actions], axis=-1)
+    points = reference.points
 
     def distance(episode: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         key, points, lengths = episode

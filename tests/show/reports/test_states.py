@@ -83,7 +83,7 @@ def test_where_policy_and_expert_differ_is_shown_over_the_episode() -> None:
     assert moved[10:].min() > 1
     np.testing.assert_array_equal(short[:6], near[:6])
     assert short[6:].min() > 1
-    chart = differences(expert, {"seed 1": met_by(far, expert)}, {"seed 1": "red"})
+    chart = differences({"seed 1": met_by(far, expert)}, {"seed 1": "red"})
     (line,) = chart.panels[0].lines
     np.testing.assert_array_equal(line.x, np.arange(0, 100, 5))
     np.testing.assert_array_equal(line.y, moved)
@@ -102,7 +102,7 @@ def test_a_thinned_expert_is_compared_at_the_same_times() -> None:
     assert met.distances[:6].max() < 0.5
     assert met.distances[6:].min() > 1
     few = thinned.replace(lengths=thinned.lengths.at[1:].set(0))
-    assert differences(few, {"seed 1": met_by(policy, few)}, {"seed 1": "red"}) is None
+    assert differences({"seed 1": met_by(policy, few)}, {"seed 1": "red"}) is None
 
 
 def episodes_of(expert: Reference, lengths: np.ndarray) -> Episodes:

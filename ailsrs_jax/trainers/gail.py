@@ -10,6 +10,7 @@ from flax import struct
 
 from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.discriminator import LOSSES
+from ailsrs_jax.components.network_clone import clone_network
 from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -29,7 +30,6 @@ from ailsrs_jax.trainers.parts.actor_critic import (
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
-from ailsrs_jax.trainers.parts.network_clone import clone_network
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
@@ -95,10 +95,15 @@ class Gail(Trainer):
             statistics = self.reference.statistics
         actor_critic = make_actor_critic(network_key, self.env, statistics, settings)
         if settings.behavior_cloning_start:
-            steps = settings.behavior_cloning_steps
-            start = actor_critic.actor
             cloned = clone_network(
-                start.layers, start.log_std, self.reference, cloning_key, steps, CLONING_RATE
+                actor_critic.actor.layers,
+                actor_critic.actor.log_std,
+                cloning_key,
+                observations=self.reference.observations,
+                actions=self.reference.actions,
+                lengths=self.reference.lengths,
+                num_steps=settings.behavior_cloning_steps,
+                learning_rate=CLONING_RATE,
             )
             actor_critic = actor_critic.replace(actor=ActorParameters(*cloned))
         return TrainState(

@@ -8,7 +8,6 @@ from ailsrs_jax.components import trust_region
 from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.policy import Layers, perceptron
 from ailsrs_jax.components.sampling import sample_steps
-from ailsrs_jax.trainers.parts.reference import Reference
 
 BATCH_SIZE = 128
 
@@ -33,8 +32,11 @@ def draw_layers(key: jax.Array, sizes: tuple[int, ...], final_scale: float = 1.0
 def clone_network(
     layers: Layers,
     log_std: jax.Array,
-    expert: Reference,
     key: jax.Array,
+    *,
+    observations: jax.Array,
+    actions: jax.Array,
+    lengths: jax.Array,
     num_steps: int,
     learning_rate: optax.ScalarOrSchedule,
 ) -> tuple[Layers, jax.Array]:
@@ -47,8 +49,10 @@ def clone_network(
     Args:
         layers: of the mean, for standardised observations.
         log_std: ``(p,)`` the logarithm of the standard deviation.
-        expert: the demonstrations, which must hold actions.
         key: of the minibatches.
+        observations: ``(E, T, n)`` of the expert, standardised.
+        actions: ``(E, T, p)`` of the expert.
+        lengths: ``(E,)`` how many first steps of each episode there are.
         num_steps: of Adam.
         learning_rate: of Adam.
 
@@ -59,10 +63,10 @@ def clone_network(
 
     def loss(parameters: tuple[Layers, jax.Array], key: jax.Array) -> tuple[jax.Array, None]:
         layers, log_std = parameters
-        episode, time = sample_steps(key, expert.lengths, BATCH_SIZE)
-        means = perceptron(*layers, expert.observations[episode, time])
-        actions = expert.actions[episode, time]
-        return -trust_region.gaussian_log_density(actions, means, log_std).mean(), None
+        episode, time = sample_steps(key, lengths, BATCH_SIZE)
+        means = perceptron(*layers, observations[episode, time])
+        taken = actions[episode, time]
+        return -trust_region.gaussian_log_density(taken, means, log_std).mean(), None
 
     start = layers, log_std
     cloned, *_ = descend(adam, loss, start, adam.init(start), jax.random.split(key, num_steps))

@@ -55,9 +55,11 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
 
 
 def test_the_readme_agrees_with_the_results_from_little_data() -> None:
-    cells = results.read_all(results.RESULTS)["little_data"].cells
+    sweeps = results.read_all(results.RESULTS)
+    cells, of_networks = (sweeps[name].cells for name in ("little_data", "network"))
     rows = {
         "AILSRS, a linear policy": ("AILSRS, 50 transitions", 10),
+        "AILSRS, a network (`policy=mlp`)": ("AILSRS, 50 transitions", 5),
         "GAIL, a network": ("GAIL, 50 transitions", 5),
         "a neural clone": ("neural BC, 50 transitions", 10),
         "AILSRS, ten episodes without actions": ("AILSRS, states alone", 3),
@@ -65,8 +67,13 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
     for name, (label, number) in rows.items():
         shown = []
         for task in (CHEETAH, HOPPER, SWIMMER):
-            mine = [cell for cell in cells if (cell.label, cell.env_id) == (label, task)]
-            first = 10 * (task == SWIMMER and name.startswith("AILSRS"))
+            is_network = "policy=mlp" in name
+            mine = [
+                cell
+                for cell in (of_networks if is_network else cells)
+                if (cell.label, cell.env_id) == (label, task)
+            ]
+            first = 10 * (task == SWIMMER and name.startswith("AILSRS") and not is_network)
             seeds = sorted(cell.seed for cell in mine if cell.done)
             assert seeds == list(range(first, first + number)), task
             values = np.array([cell.normalized for cell in mine])
@@ -93,6 +100,13 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         "had {:.1f} M steps on HalfCheetah, {:.1f} M on Hopper and {:.1f} M on Swimmer, as means."
     )
     assert told.format(*of_mine) in README.read_text()
+    walker, clones = (
+        plus_minus(group.values("normalized"), 2)
+        for group in group_cells(of_networks)
+        if group.env_id == "Walker2d-v5"
+    )
+    told = f"five seeds return {walker}, and their clones {clones}."
+    assert told in README.read_text()
 
 
 def test_the_readme_agrees_with_the_results_of_the_search() -> None:

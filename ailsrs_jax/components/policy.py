@@ -82,11 +82,17 @@ def perceptron(
 
     Each layer has ``weights (out, in)`` and ``biases (out,)``; all but the last end in tanh.
     """
-    hidden = inputs
-    for layer, (matrix, bias) in enumerate(zip(weights, biases, strict=True)):
-        hidden = jnp.tanh(hidden) if layer else hidden
-        hidden = jnp.matmul(hidden, matrix.T, precision="highest") + bias
-    return hidden
+    hidden = hidden_units(weights[:-1], biases[:-1], inputs)
+    return jnp.matmul(hidden, weights[-1].T, precision="highest") + biases[-1]
+
+
+def hidden_units(
+    weights: tuple[jax.Array, ...], biases: tuple[jax.Array, ...], inputs: jax.Array
+) -> jax.Array:
+    """Return the last tanh units ``(..., out)`` of these layers; without layers, the ``inputs``."""
+    for matrix, bias in zip(weights, biases, strict=True):
+        inputs = jnp.tanh(jnp.matmul(inputs, matrix.T, precision="highest") + bias)
+    return inputs
 
 
 def repeated(policy: Any, num_policies: int) -> Any:

@@ -59,7 +59,7 @@ def reasons(
         yield f"episodes end early: {length:.0f} steps of {demonstrated_length}"
     if len(distances) > 2 and distances[kept] > 0.8 * distances[0]:
         yield f"the distance has hardly fallen: it began at {distances[0]:.2f}"
-    elif np.nanargmin(distances) >= 0.8 * (len(distances) - 1):
+    elif np.argmin(np.nan_to_num(distances, nan=np.inf)) >= 0.8 * (len(distances) - 1):
         yield "the distance still falls: more iterations may help"
     elif distances[-1] > 1.5 * distances[kept]:
         yield f"the search drifted away from this policy: the last distance is {distances[-1]:.2f}"

@@ -72,8 +72,7 @@ def met_by(episodes: Episodes, expert: Reference) -> Met:
     enough = max(int(expert.lengths.sum()) // STEPS_OF_A_PART, 1)
     num_parts = min(NUM_PARTS, num_blocks, enough)
     starts = np.linspace(0, num_blocks, num_parts, endpoint=False).astype(int)
-    # All have the size of the smallest, so that one program serves all.
-    size = int(np.diff([*starts, num_blocks]).min())
+    size = num_blocks // max(num_parts, 1)  # that of the smallest, so that one program serves all
 
     def distance(start: int) -> float:
         key, expert_key = jax.random.split(jax.random.fold_in(jax.random.key(0), start))

@@ -10,7 +10,7 @@ import optax
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
 from ailsrs_jax.components.network_clone import clone_network, draw_layers
 from ailsrs_jax.components.normalizer import RunningStatistics
-from ailsrs_jax.components.policy import Layers, LinearPolicy, MlpPolicy, Policy, perceptron
+from ailsrs_jax.components.policy import Layers, LinearPolicy, MlpPolicy, Policy, hidden_units
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
@@ -38,18 +38,14 @@ class PolicySpace:
     @property
     def shape(self) -> tuple[int, int]:
         """``(p, m + 1)``."""
-        is_linear = self.settings.policy == "linear"
-        num_features = self.env.observation_size if is_linear else HIDDEN_SIZES[-1]
-        return self.env.action_size, num_features + 1
+        return self.env.action_size, len(self.searched)
 
     @property
     def searched(self) -> np.ndarray:
         """``(m + 1,)``, 1 for the features that are used and for the intercept, else 0."""
-        searched = np.ones(self.shape[1], np.float32)
-        if self.settings.policy == "linear":
-            searched[:-1] = self._seen
-        searched[-1] = self.settings.intercept
-        return searched
+        is_linear = self.settings.policy == "linear"
+        used = self._seen if is_linear else np.ones(HIDDEN_SIZES[-1], np.float32)
+        return np.append(used, np.float32(self.settings.intercept))
 
     @property
     def _seen(self) -> np.ndarray:
@@ -81,10 +77,7 @@ class PolicySpace:
     def clone(self, hidden: Layers) -> jax.Array:
         """Return the weights ``(p, m + 1)`` of a clone of the expert."""
         expert = self.reference
-        features = expert.observations
-        if hidden[0]:
-            features = jnp.tanh(perceptron(*hidden, features))
-        features = features * self.searched[:-1]
+        features = hidden_units(*hidden, expert.observations) * self.searched[:-1]
         if self.settings.intercept:
             return affine_regression(features, expert.actions, expert.alive)
         weights = ridge_regression(features, expert.actions, expert.alive)

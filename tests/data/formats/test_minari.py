@@ -97,10 +97,7 @@ def test_a_dataset_that_names_no_environment() -> None:
         terminations=[False, False, True],
         truncations=[False] * 3,
     )
-    with warnings.catch_warnings(action="ignore"):
-        minari.create_dataset_from_buffers(
-            "own/slider-v0", [episode], observation_space=box, action_space=box
-        )
+    create("own/slider-v0", episode, observation_space=box, action_space=box)
     loaded, num_left_out = load_minari("own/slider-v0", "my_tasks:Slider")
     assert (loaded.env_id, num_left_out) == ("my_tasks:Slider", 0)
     assert loaded.observations.shape == (1, 6, 2)
@@ -128,9 +125,12 @@ def episode(length: int = TIME_LIMIT, *, terminated: bool = False, **changes: An
 
 def write(*episodes: Any, env: Any = None, dataset_id: str = "hopper/test-v0", **more: Any) -> None:
     env = env or gymnasium.make("Hopper-v5", max_episode_steps=TIME_LIMIT)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        minari.create_dataset_from_buffers(dataset_id, list(episodes), env=env, **more)
+    create(dataset_id, *episodes, env=env, **more)
+
+
+def create(dataset_id: str, *episodes: Any, **options: Any) -> None:
+    with warnings.catch_warnings(action="ignore"):
+        minari.create_dataset_from_buffers(dataset_id, list(episodes), **options)
 
 
 def test_cut_off_episodes_are_left_out() -> None:
@@ -197,14 +197,8 @@ WRONG = {
 
 def write_without_environment() -> None:
     env = gymnasium.make("Hopper-v5")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        minari.create_dataset_from_buffers(
-            "hopper/test-v0",
-            [episode()],
-            observation_space=env.observation_space,
-            action_space=env.action_space,
-        )
+    spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
+    create("hopper/test-v0", episode(), **spaces)
 
 
 @pytest.mark.parametrize("message", WRONG)

@@ -42,6 +42,17 @@ def test_reasons_why_a_policy_is_not_close(changes: dict[str, Any], told: str | 
     assert told is None or told in found[0]
 
 
+def test_a_late_policy_that_is_nearly_the_closest_does_not_still_fall() -> None:
+    distances = np.array([4.0, 2.0, 0.8, 0.9, 1.3, 0.95])
+    assert not list(reasons(HEALTHY | {"expert_distance": distances}, 5, 1000))
+
+
+def test_distances_that_are_all_nan_are_no_error() -> None:
+    metrics = HEALTHY | {"expert_distance": np.full(6, np.nan), "diverged": np.ones(6)}
+    (found,) = reasons(metrics, 0, 1000)
+    assert found.startswith("6 episodes diverged")
+
+
 def test_a_run_is_judged(in_tmp_path: Path) -> None:
     result = run(plan(3, "ailsrs"), Path("out"))
     found = inspect_run(read_run(Path("out")))

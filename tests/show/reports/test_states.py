@@ -101,6 +101,8 @@ def test_a_thinned_expert_is_compared_at_the_same_times() -> None:
     np.testing.assert_array_equal(met.times, np.arange(0, 100, 10))
     assert met.distances[:6].max() < 0.5
     assert met.distances[6:].min() > 1
+    cut = policy.replace(observations=policy.observations[:, :5], actions=policy.actions[:, :5])
+    assert not len(met_by(cut, thinned).distances)  # shorter than a block of the thinned steps
     few = thinned.replace(lengths=thinned.lengths.at[1:].set(0))
     assert differences({"seed 1": met_by(policy, few)}, {"seed 1": "red"}) is None
 
@@ -176,6 +178,9 @@ def test_only_demonstrations_in_the_cache_with_the_same_hash_are_used(
     assert observations.shape == (7, 3)
     np.testing.assert_allclose(observations.mean(axis=0), 0, atol=1e-5)
     np.testing.assert_allclose(observations.std(axis=0), 1, atol=1e-5)
+    config["settings"] = {"discriminator_entries": "a stranger's"}
+    assert expert_reference(run) is None
+    config["settings"] = {}
     run.source = Source("file", "/etc/passwd")
     assert expert_reference(run) is None
     run.source = Source("expert")

@@ -1,7 +1,7 @@
 """The report of a sweep: ``table.md``, ``timings.md`` and the figures."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from ailsrs_jax.files import write_atomically
 from ailsrs_jax.show.figures import save_figures
 from ailsrs_jax.show.model_card import escape_markdown
-from ailsrs_jax.sweeps.results import NOT_RUN, SweepResults, read_results
+from ailsrs_jax.sweeps.results import NOT_RUN, Curve, SweepResults, read_results, share_of
 from ailsrs_jax.sweeps.statistics import (
     Estimate,
     Group,
@@ -27,10 +27,7 @@ from ailsrs_jax.sweeps.statistics import (
 EXPLANATION = """\
 ± is the standard deviation over seeds. *Return* is that of the kept policy in Gymnasium's own
 environment, *last* that of the last iteration's policy, *over training* the mean over the
-environment steps of training. Normalised returns are 0 for random actions and 1 for the expert.
-*Steps to 90 %* are live environment steps until an evaluation first reached 0.9 of the expert's
-return: the median over seeds, where a seed that never reached it counts as infinite; the number of
-seeds that reached it is in brackets."""
+environment steps of training. Normalised returns are 0 for random actions and 1 for the expert."""
 COMPARED = """\
 Normalised returns with the 95 % interval of a stratified bootstrap over seeds. A condition is a
 task and a number of demonstrations; all series were measured under the conditions of this table.
@@ -40,7 +37,12 @@ IMPROVED = """\
 The probability that a run of the series in the title has a higher normalised return than a run of
 the series in the row: the share of all pairs of runs, as a mean over the conditions that the two
 share, with the 95 % interval of a stratified bootstrap over seeds. A tie counts half."""
+REACHED = """\
+Live environment steps until an evaluation first returned this share of the expert's return: the
+median over seeds, where a seed that never did counts as infinite. Brackets: how many seeds did."""
 TIMED = "Wall-clock time of one seed: the median over seeds. Brackets: how many seeds reached it."
+
+SHARES = (0.5, 0.9, 0.95)  # of the expert's return
 
 
 class Table(NamedTuple):
@@ -55,8 +57,7 @@ class Table(NamedTuple):
 def report_sweep(directory: str | Path) -> None:
     """Write ``table.md``, ``timings.md`` and ``figures/`` from the tables in ``directory``.
 
-    ``table.md`` depends on ``results.csv`` alone; everything that depends on the clock is in
-    ``timings.md``.
+    Everything that depends on the clock is in ``timings.md``.
 
     Raises:
         UserError: a table cannot be read.
@@ -82,6 +83,7 @@ def result_tables(results: SweepResults) -> list[Table]:
         mine = [group for group in groups if group.env_id == task]
         rows = [[show(group) for show in COLUMNS.values()] for group in mine]
         tables.append(Table(task, list(COLUMNS), rows))
+    tables += _costs(groups, results.curves)
     ended = [cell for cell in results.cells if cell.status != NOT_RUN]
     if failed := [[cell.cell, cell.status] for cell in ended if not cell.done]:
         tables.append(Table("Failed", ["cell", "status"], failed))
@@ -127,6 +129,22 @@ def _improvements(groups: Sequence[Group]) -> list[Table]:
     return [Table(title, ["than", "conditions", "probability"], rows, IMPROVED)] if rows else []
 
 
+def _costs(groups: Iterable[Group], curves: Mapping[str, Curve]) -> list[Table]:
+    rows = []
+    for group in groups:
+        drawn = [cell for cell in group.cells if cell.cell in curves]
+        if not (group.has_comparable_curves and drawn and math.isfinite(drawn[0].expert_return)):
+            continue
+        reached = []
+        for share in SHARES:
+            levels = (share_of(cell.expert_return, share) for cell in drawn)
+            steps = [curves[cell.cell].steps_to(level) for cell, level in zip(drawn, levels)]
+            reached.append(_reached(np.array(steps) / 1e6, "{:.2f} M"))
+        rows.append([group.series, group.env_id, _count(group), *reached])
+    header = ["", "task", "demonstrations", *(f"to {100 * share:.0f} %" for share in SHARES)]
+    return [Table("Environment steps to the expert's level", header, rows, REACHED)] if rows else []
+
+
 def timings_table(results: SweepResults) -> str:
     """Return as Markdown a table of everything that depends on the machine and on its load."""
     header = ["", "task", "demonstrations", "to 90 % of the expert", "training", "compilation"]
@@ -140,7 +158,7 @@ def timings_table(results: SweepResults) -> str:
                     group.series,
                     group.env_id,
                     _count(group),
-                    _reached(group, to_90, lambda seconds: f"{seconds:.0f} s"),
+                    _reached(to_90, "{:.0f} s") if group.has_comparable_curves else "–",
                     f"{np.median([timing.train_seconds for timing in timed]):.0f} s",
                     f"{np.median([timing.compile_seconds for timing in timed]):.0f} s",
                     " and ".join(dict.fromkeys(timing.hardware for timing in timed)),
@@ -185,11 +203,9 @@ def _mean(values: np.ndarray) -> str:
     return "–" if np.isnan(values).any() else f"{values.mean():.0f}"
 
 
-def _reached(group: Group, values: np.ndarray, show: Callable[[float], str]) -> str:
-    if not group.has_comparable_curves:
-        return "–"
+def _reached(values: np.ndarray, form: str) -> str:
     median, reached = median_reached(values)
-    return f"{show(median) if math.isfinite(median) else '–'} ({reached} of {len(values)})"
+    return f"{form.format(median) if math.isfinite(median) else '–'} ({reached} of {len(values)})"
 
 
 def _count(group: Group) -> str:
@@ -206,8 +222,5 @@ COLUMNS: dict[str, Callable[[Group], str]] = {  # of the table of a task
     "last": lambda group: plus_minus(group.values("last_return")),
     "over training, normalised": lambda group: plus_minus(
         group.values("normalized_over_training"), 2
-    ),
-    "steps to 90 %": lambda group: _reached(
-        group, group.values("steps_to_90"), lambda steps: f"{steps / 1e6:.2f} M"
     ),
 }

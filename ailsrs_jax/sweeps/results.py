@@ -70,6 +70,11 @@ class Curve:
     env_steps: np.ndarray
     returns: np.ndarray  # of the evaluation episodes
 
+    def steps_to(self, level: float) -> float:
+        """Return the steps after which evaluation episodes first returned ``level``; NaN: never."""
+        reached = np.flatnonzero(self.returns >= level)
+        return float(self.env_steps[reached[0]]) if len(reached) else math.nan
+
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
@@ -110,6 +115,11 @@ _MEASURED = (
     *("iterations", "env_steps", "kept_iteration", "return_mean", "return_std", "length_mean"),
     "random_return",
 )
+
+
+def share_of(expert_return: float, share: float) -> float:
+    """Return the threshold of a ``share`` of an expert's return, which may be negative."""
+    return expert_return - (1.0 - share) * abs(expert_return)
 
 
 def read_results(directory: Path) -> SweepResults:

@@ -22,7 +22,7 @@ from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table
+from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table, share_of
 from ailsrs_jax.trainers.parts.settings import as_text
 
 ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
@@ -82,7 +82,7 @@ def _over_training(
         weights = np.diff(steps, prepend=0)[measured]
         if weights.any():
             row["mean_return_over_training"] = float(returns[measured] @ weights / weights.sum())
-        reached = np.flatnonzero(returns >= (np.inf if expert is None else ninety_percent(expert)))
+        reached = np.flatnonzero(returns >= (np.inf if expert is None else share_of(expert, 0.9)))
         if len(reached):
             row["steps_to_90"] = int(steps[reached[0]])
     return row
@@ -192,11 +192,6 @@ def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
     columns = COLUMNS[path.name]
     fields = ([row.get(name) for name in columns] for row in rows)
     write_atomically(path, as_csv([columns, *fields]))
-
-
-def ninety_percent(expert_return: float) -> float:
-    """Return the threshold of 0.9 of an expert's return, which may be negative."""
-    return expert_return - 0.1 * abs(expert_return)
 
 
 @functools.cache

@@ -78,7 +78,7 @@ def train(
             random search) and trpo learn from the environment's reward; or your own.
         demonstrations: A .npz file, minari:DATASET_ID, or a directory of the imitation library; by
             default the shipped expert of the task. expert:paper is an expert with the return of
-            the paper's.
+            the paper's, and expert:linear a linear one.
         num_trajectories: Use the first N episodes; by default 10 of the shipped expert, else all.
         draw_from: Draw these episodes at random from the first N, with the seed of the run.
         subsample: Train on every K-th step of each episode, from a random step on.

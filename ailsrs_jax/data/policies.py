@@ -14,6 +14,8 @@ from ailsrs_jax.data.formats.policy import Layers, read_policy, require_format
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import write_atomically
 
+EXPERTS = ("paper", "linear")  # names of experts in the package besides the default one
+
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedPolicy(ABC):
@@ -227,21 +229,27 @@ def policy_files(path: Path) -> list[Path]:
     return paths
 
 
-def expert_path(env_id: str, *, of_paper: bool = False) -> Path:
-    """Return the file of the expert that ships with the package for ``env_id``.
+def expert_path(env_id: str, name: str | None = None) -> Path:
+    """Return the file of an expert that ships with the package for ``env_id``.
 
-    With ``of_paper``, return the expert whose return matches the paper's, if it is another one.
+    Args:
+        env_id: the task.
+        name: one of :data:`EXPERTS`, or None for the default expert. Where that one has the paper's
+            return, it is also the one that is called ``paper``.
 
     Raises:
-        UserError: the package has no expert for this task.
+        UserError: the package has no such expert.
     """
+    if name is not None and name not in EXPERTS:
+        raise UserError(f"no expert is called {name!r}: the names are {' and '.join(EXPERTS)}")
     directory = Path(str(resources.files("ailsrs_jax.data"))) / "experts"
-    path, weaker = directory / f"{env_id}.npz", directory / f"{env_id}-paper.npz"
-    if of_paper and weaker.is_file():
-        return weaker
+    path = directory / (f"{env_id}.npz" if name is None else f"{env_id}-{name}.npz")
+    if name == "paper" and not path.is_file():
+        return expert_path(env_id)
     if not path.is_file():
+        kind = "" if name is None else f"{name} "
         raise UserError(
-            f"no expert of {env_id} ships with the package: use --demonstrations, or make some "
-            "with 'ailsrs expert' and 'ailsrs demonstrate --expert'"
+            f"no {kind}expert of {env_id} ships with the package: use --demonstrations, or make "
+            "some with 'ailsrs expert' and 'ailsrs demonstrate --expert'"
         )
     return path

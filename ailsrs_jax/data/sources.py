@@ -20,7 +20,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable
 
 MINARI = "minari:"
-PAPER_EXPERT = "expert:paper"
+EXPERT = "expert:"
 KINDS = ("expert", "file", "minari", "imitation", "memory")
 
 
@@ -28,8 +28,8 @@ KINDS = ("expert", "file", "minari", "imitation", "memory")
 class Source:
     """Where demonstrations are from, as ``config.json`` records it.
 
-    The name is a path or the id of a dataset. The expert's name is ``paper`` for the one with the
-    paper's return; the default expert and demonstrations in memory have none.
+    The name is a path, the id of a dataset, or one of :data:`~ailsrs_jax.data.policies.EXPERTS`.
+    The default expert and demonstrations in memory have none.
     """
 
     kind: str  # one of KINDS
@@ -50,7 +50,7 @@ class Source:
             told = "handed in from Python"
         elif self.kind == "expert":
             told = "of the expert that ships with the package"
-            told += "" if self.name is None else " and has the paper's return"
+            told += "" if self.name is None else f" ({self.argument})"
         else:
             told = str(self.argument)
         if self.num_left_out:

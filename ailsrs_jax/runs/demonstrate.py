@@ -191,28 +191,28 @@ def expert_demonstrations(
     env_id: str,
     num_trajectories: int,
     physics: str,
+    name: str | None = None,
     *,
-    of_paper: bool = False,
     episode_length: int = EPISODE_LENGTH,
     only_cached: bool = False,
 ) -> Demonstrations:
-    """Return demonstrations of the expert that ships with the package, from the cache if possible.
+    """Return demonstrations of an expert that ships with the package, from the cache if possible.
 
     The file name in the cache is a hash of all that the demonstrations depend on. If the cache
-    cannot be read or written, they are simulated again. Where a task has two experts, ``of_paper``
-    takes the one that returns what the paper's does.
+    cannot be read or written, they are simulated again. See
+    :func:`~ailsrs_jax.data.policies.expert_path` for the ``name`` of an expert.
 
     Raises:
         UserError: there is no such expert, or ``only_cached`` and they are not in the cache.
     """
-    path = expert_path(env_id, of_paper=of_paper)
+    path = expert_path(env_id, name)
     engine, _ = choose_engine(physics)
     backend = jax.default_backend()
     content = f"{num_trajectories} {engine} {backend} {installed_versions()}".encode()
     if episode_length != EPISODE_LENGTH:
         content += f" {episode_length}".encode()
-    name = f"{env_id}-{hashlib.sha256(content + path.read_bytes()).hexdigest()[:16]}.npz"
-    cached = cache_directory() / "demonstrations" / name
+    file_name = f"{env_id}-{hashlib.sha256(content + path.read_bytes()).hexdigest()[:16]}.npz"
+    cached = cache_directory() / "demonstrations" / file_name
     try:
         return load_demonstrations(cached)
     except UserError:

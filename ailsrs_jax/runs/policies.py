@@ -34,8 +34,8 @@ def still_policy(env: Env) -> LinearPolicy:
     return LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
 
 
-def load_expert(env: str, *, of_paper: bool = False) -> SavedPolicy:
-    """Load the expert that ships with the package.
+def load_expert(env: str, name: str | None = None) -> SavedPolicy:
+    """Load an expert that ships with the package.
 
     >>> import ailsrs_jax as ail
     >>> ail.load_expert("hopper").env_id
@@ -43,9 +43,9 @@ def load_expert(env: str, *, of_paper: bool = False) -> SavedPolicy:
 
     Args:
         env: the task, ``Hopper-v5`` or ``hopper``.
-        of_paper: load the expert that returns what the paper's does, where there are two.
+        name: ``paper`` for the one that returns what the paper's does, ``linear`` for a linear one.
 
     Raises:
-        UserError: the task is unknown, or no expert ships for it.
+        UserError: the task is unknown, or no such expert ships for it.
     """
-    return load_policy(expert_path(resolve_env_id(env), of_paper=of_paper))
+    return load_policy(expert_path(resolve_env_id(env), name))

@@ -23,7 +23,8 @@ class RunSpec:
             that makes one of Gymnasium.
         demonstrations: a ``.npz`` file, ``minari:DATASET_ID``, a directory that the imitation
             library wrote, or demonstrations in memory. None stands for the expert that ships with
-            the package, and ``expert:paper`` for the one with the paper's return.
+            the package, ``expert:paper`` for the one with the paper's return, and ``expert:linear``
+            for a linear one.
         algorithm: ``ailsrs``, ``bc`` or ``gail``, which imitate demonstrations; or ``ars``, ``brs``
             or ``trpo``, which learn from the environment's reward.
         num_trajectories: use the first n episodes; by default 10 of the shipped expert, else all.

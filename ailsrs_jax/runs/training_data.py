@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.data.sources import PAPER_EXPERT, Source, content_hash, open_source
+from ailsrs_jax.data.sources import EXPERT, Source, content_hash, open_source
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range, env_sizes, starts_at_observations
 from ailsrs_jax.errors import UserError
@@ -42,11 +42,10 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
     asked, number = spec.demonstrations, spec.num_trajectories
     if spec.draw_from is not None:
         number = _checked_draw(spec)
-    if asked is None or asked == PAPER_EXPERT:
-        source = Source("expert", None if asked is None else "paper")
+    if asked is None or (isinstance(asked, str) and asked.startswith(EXPERT)):
+        source = Source("expert", asked and asked.removeprefix(EXPERT))
         number = NUM_TRAJECTORIES if number is None else number
-        of_paper = source.name is not None
-        demonstrations = expert_demonstrations(env_id, number, engine, of_paper=of_paper)
+        demonstrations = expert_demonstrations(env_id, number, engine, source.name)
     else:
         demonstrations, source = open_source(asked, env_id, number)
     if number is not None:

@@ -182,9 +182,10 @@ def render(
 
 
 def shipped_expert(env_id: str, *imitated: Source | None) -> SavedPolicy | None:
-    """Return the shipped expert of the task, if any; the paper's if a run ``imitated`` it."""
+    """Return the shipped expert of the task, if any; the one that a run ``imitated``, if named."""
+    names = (each.name for each in imitated if each is not None and each.kind == "expert")
     try:
-        return load_policy(expert_path(env_id, of_paper=Source("expert", "paper") in imitated))
+        return load_policy(expert_path(env_id, next(filter(None, names), None)))
     except UserError:
         return None
 

@@ -118,7 +118,7 @@ def test_an_expert_ships_for_the_task(env_id: str) -> None:
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "Walker2d-v5"])
 def test_the_paper_has_its_own_expert_only_where_ours_is_better(env_id: str) -> None:
-    of_paper = expert_path(env_id, of_paper=True)
+    of_paper = expert_path(env_id, "paper")
     assert load_policy(of_paper).env_id == env_id
     assert (of_paper == expert_path(env_id)) == (env_id == "Hopper-v5")
 
@@ -126,6 +126,10 @@ def test_the_paper_has_its_own_expert_only_where_ours_is_better(env_id: str) -> 
 def test_a_missing_expert_is_refused() -> None:
     with pytest.raises(UserError, match=r"no expert of my:Task ships .* --demonstrations"):
         expert_path("my:Task")
+    with pytest.raises(UserError, match=r"no linear expert of my:Task ships"):
+        expert_path("my:Task", "linear")
+    with pytest.raises(UserError, match=r"no expert is called '\.\./x': .* paper and linear"):
+        expert_path("Hopper-v5", "../x")
 
 
 @pytest.mark.parametrize("kind", ["linear", "neural"])

@@ -9,7 +9,6 @@ import pytest
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.episodes import Recording
 from ailsrs_jax.data.sources import (
-    PAPER_EXPERT,
     Source,
     open_source,
     parse_source,
@@ -71,7 +70,7 @@ def test_what_is_nowhere(tmp_path: Path) -> None:
 
 def test_the_argument_names_the_source() -> None:
     assert Source("expert").argument is None
-    assert Source("expert", "paper").argument == PAPER_EXPERT
+    assert Source("expert", "paper").argument == "expert:paper"
     assert Source("minari", "mujoco/hopper/expert-v0").argument == "minari:mujoco/hopper/expert-v0"
     assert Source("file", "mine.npz").argument == "mine.npz"
     assert Source("memory").argument is None

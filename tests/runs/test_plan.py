@@ -70,12 +70,14 @@ def test_objects_have_no_command(point_mass: PointMass) -> None:
     assert made.config.source == Source("memory")
 
 
-@pytest.mark.parametrize("of_paper", [False, True])
-def test_the_shipped_expert_is_a_source(of_paper: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("expert", [None, "paper", "linear"])
+def test_the_shipped_expert_is_a_source(
+    expert: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[Any] = []
 
-    def roll_out(env_id: str, number: int, engine: str, *, of_paper: bool) -> Demonstrations:
-        asked.append((env_id, number, engine, of_paper))
+    def roll_out(env_id: str, number: int, engine: str, name: str | None) -> Demonstrations:
+        asked.append((env_id, number, engine, name))
         return Demonstrations(
             observations=np.zeros((number, 10, 17), np.float32),
             actions=np.zeros((number, 10, 6), np.float32),
@@ -85,13 +87,13 @@ def test_the_shipped_expert_is_a_source(of_paper: bool, monkeypatch: pytest.Monk
         )
 
     monkeypatch.setattr("ailsrs_jax.runs.training_data.expert_demonstrations", roll_out)
-    argument = "expert:paper" if of_paper else None
+    argument = f"expert:{expert}" if expert else None
     made = plan(RunSpec("walker2d", argument, physics="mujoco"))
-    assert asked == [("Walker2d-v5", NUM_TRAJECTORIES, "mujoco", of_paper)]
-    assert made.config.source == Source("expert", "paper" if of_paper else None)
+    assert asked == [("Walker2d-v5", NUM_TRAJECTORIES, "mujoco", expert)]
+    assert made.config.source == Source("expert", expert)
     assert made.config.source.argument == argument
     words = shlex.split(str(made.spec.command))
-    assert ("expert:paper" in words) == of_paper
+    assert [word for word in words if word.startswith("expert:")] == ([argument] if expert else [])
     assert made.config.num_trajectories == NUM_TRAJECTORIES
 
 

@@ -47,9 +47,8 @@ def expert_reference(run: SavedRun) -> Reference | None:
     if source is None or source.kind != "expert":
         return None
     env_id, number, physics = (config[name] for name in ("env_id", "num_trajectories", "physics"))
-    of_paper = source.name is not None
     try:
-        given = expert_demonstrations(env_id, number, physics, of_paper=of_paper, only_cached=True)
+        given = expert_demonstrations(env_id, number, physics, source.name, only_cached=True)
         if config["subsample"] != 1:
             given = given.subsample(config["subsample"])
         if content_hash(given) != config["demonstrations_sha256"] or given.actions is None:

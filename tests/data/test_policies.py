@@ -123,6 +123,13 @@ def test_the_paper_has_its_own_expert_only_where_ours_is_better(env_id: str) -> 
     assert (of_paper == expert_path(env_id)) == (env_id == "Hopper-v5")
 
 
+@pytest.mark.parametrize("env_id", ["HalfCheetah-v5", "Hopper-v5", "Swimmer-v5"])
+def test_a_linear_expert_ships(env_id: str) -> None:
+    expert = load_policy(expert_path(env_id, "linear"))
+    assert isinstance(expert, SavedLinearPolicy)
+    assert expert.env_id == env_id
+
+
 def test_a_missing_expert_is_refused() -> None:
     with pytest.raises(UserError, match=r"no expert of my:Task ships .* --demonstrations"):
         expert_path("my:Task")

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import os
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,8 +13,9 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
-from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions, percentage
+from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.storage.metrics import percentage
 
 if TYPE_CHECKING:
     from ailsrs_jax.runs.inspection.comparison import RunSummary
@@ -123,7 +123,13 @@ def compare(
         for run, path in zip(found.runs, paths, strict=True)
     ]
     if output is not None:
-        _write_comparison(output, {row[0]: path for row, path in zip(rows, paths)}, header, rows)
+        from ailsrs_jax.files import require_writable, write_atomically
+        from ailsrs_jax.runs.storage.saved_run import read_run
+        from ailsrs_jax.show.reports.comparison_page import comparison_page
+
+        require_writable(output)
+        saved = {row[0]: read_run(path) for row, path in zip(rows, paths)}
+        write_atomically(output, comparison_page(saved, header, rows, f"{KEPT}.").html())
     if terminal.as_json:
         return
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -141,18 +147,6 @@ def compare(
     terminal.console.print(table)
     if output is not None:
         terminal.line(str(output))
-
-
-def _write_comparison(
-    output: Path, paths: dict[str, Path], header: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    from ailsrs_jax.files import require_writable, write_atomically
-    from ailsrs_jax.runs.storage.saved_run import read_run
-    from ailsrs_jax.show.reports.comparison_page import comparison_page
-
-    require_writable(output)
-    runs = {name: read_run(path) for name, path in paths.items()}
-    write_atomically(output, comparison_page(runs, header, rows, f"{KEPT}.").html())
 
 
 def _cost(run: "RunSummary") -> str:

@@ -50,16 +50,22 @@ def main() -> None:
     logging.basicConfig(format="ailsrs: %(message)s")
     if os.environ.get("NO_COLOR"):  # https://no-color.org
         tyro._experimental_options["ansi_codes"] = False
-    package, arguments = importlib.metadata.metadata("ailsrs_jax"), sys.argv[1:]
+    package = importlib.metadata.metadata("ailsrs_jax")
+    arguments = sys.argv[1:] or ["--help"]
     if arguments == ["--version"]:
         print(f"ailsrs {package['Version']}")
         return
     try:
-        require_command(arguments)
+        name = arguments[0]
+        if not name.startswith("-") and name not in COMMANDS:
+            raise UserError(
+                f"unknown command '{name}'{did_you_mean(name, COMMANDS)}: use one of "
+                f"{', '.join(COMMANDS)}; see ailsrs --help"
+            )
         app.cli(
             prog="ailsrs",
             description=package["Summary"],
-            args=arguments or ["--help"],
+            args=arguments,
             # Flags need no opposites, because every flag is off by default.
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
         )
@@ -69,13 +75,3 @@ def main() -> None:
     except (UserError, VersionError) as error:
         print(f"ailsrs: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
-
-
-def require_command(arguments: list[str]) -> None:
-    """Raise UserError if the first argument should name a command and does not."""
-    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
-        name = arguments[0]
-        raise UserError(
-            f"unknown command '{name}'{did_you_mean(name, COMMANDS)}: use one of "
-            f"{', '.join(COMMANDS)}; see ailsrs --help"
-        )

@@ -18,8 +18,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from ailsrs_jax.cli.terminal import percentage
-from ailsrs_jax.runs.storage.metrics import IterationReport
+from ailsrs_jax.runs.storage.metrics import IterationReport, percentage
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.results import DONE

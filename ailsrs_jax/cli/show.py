@@ -62,7 +62,12 @@ def render(
     if learning and play:
         raise UserError("--learning is a film, and --play is a page: leave out one of them")
     if play:
-        _render_play(policy, output, expert, alone, seed, terminal)
+        from ailsrs_jax.show.play import write_play
+
+        with terminal.stage("writing the page"):
+            names = write_play(policy, output, expert=expert, alone=alone, seed=seed)
+        terminal.line(str(output))
+        terminal.json({"output": str(output), "policies": names})
         return
     with terminal.stage("rendering") as watch:
         from ailsrs_jax.show import learning as film
@@ -83,22 +88,6 @@ def render(
     shown = [f"{e['label']} {e['length']} steps, return {e['return']:.0f}" for e in episodes]
     terminal.line(f"{', '.join(shown)}: {output}")
     terminal.json({"output": str(output), "episodes": episodes})
-
-
-def _render_play(
-    policy: Path,
-    output: Path,
-    expert: Path | None,
-    alone: bool,
-    seed: int,
-    terminal: TerminalOptions,
-) -> None:
-    from ailsrs_jax.show.play import write_play
-
-    with terminal.stage("writing the page"):
-        names = write_play(policy, output, expert=expert, alone=alone, seed=seed)
-    terminal.line(str(output))
-    terminal.json({"output": str(output), "policies": names})
 
 
 def report(

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import os
+import re
 import signal
 import sys
 from collections.abc import Mapping, Sequence
@@ -20,8 +21,6 @@ from ailsrs_jax.own_code import allow
 
 if TYPE_CHECKING:
     from ailsrs_jax.sweeps.estimate import CostEstimate
-
-LONGEST_SHARD = 20  # characters
 
 
 def sweep(
@@ -64,12 +63,14 @@ def sweep(
     from ailsrs_jax.sweeps.spec import expand, read_spec
 
     allow(*itertools.chain(*own))
+    if (numbers := re.fullmatch(r"(\d{1,18})/(\d{1,18})", shard)) is None:
+        raise UserError(f"--shard {shard}: write I/N, for example 0/4")
     sweeps.require_launcher(launcher)
     require_tracker(track)
     grid = expand(read_spec(spec))
     output = output or Path("runs") / spec.stem
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
-    units = sweeps.choose_units(grid, parse_shard(shard), max_parallel)
+    units = sweeps.choose_units(grid, (int(numbers[1]), int(numbers[2])), max_parallel)
     pending = sweeps.pending(units, output)
     if dry_run:
         if os.path.lexists(output / sweeps.SWEEP_FILE):
@@ -157,15 +158,3 @@ def print_estimate(console: Console, estimates: Sequence["CostEstimate"]) -> Non
     if seconds:
         text += f", {sum(seconds) / 3600:,.1f} h for their physics alone on this machine"
     console.print(text, soft_wrap=True)
-
-
-def parse_shard(text: str) -> tuple[int, int]:
-    """Return the two numbers of ``I/N``.
-
-    Raises:
-        UserError: the text has another form.
-    """
-    index, slash, count = text.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal() and len(text) < LONGEST_SHARD):
-        raise UserError(f"--shard {text}: write I/N, for example 0/4")
-    return int(index), int(count)

@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from tyro.conf import arg
 
+from ailsrs_jax.cli.arguments import Flag
+
 SECONDS_IN_A_LOG = 10.0  # between two lines of a stage where there is no terminal
 
 
@@ -25,17 +27,10 @@ SECONDS_IN_A_LOG = 10.0  # between two lines of a stage where there is no termin
 class Terminal:
     """The two options that every command has, and how it prints under them."""
 
-    quiet: Annotated[bool, arg(help="Print warnings and errors only.", help_behavior_hint="")] = (
-        False
-    )
-    as_json: Annotated[
-        bool,
-        arg(
-            name="json",
-            help="Print one JSON object on standard output, and all else on standard error.",
-            help_behavior_hint="",
-        ),
-    ] = False
+    quiet: Flag = False
+    """Print warnings and errors only."""
+    as_json: Annotated[bool, arg(name="json", help_behavior_hint="")] = False
+    """Print one JSON object on standard output, and all else on standard error."""
 
     @functools.cached_property
     def console(self) -> Console:
@@ -53,41 +48,28 @@ class Terminal:
         The value is a function that can be told how many pictures are done, of how many. Where
         there is no terminal, a line shows it every ten seconds.
         """
-        started = time.perf_counter()
-        if not self.console.is_terminal:
-            self.line(name)
+        started, over = time.perf_counter(), threading.Event()
+        in_a_log = not self.console.is_terminal
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-        with Progress(
-            *columns,
-            console=self.console,
-            transient=True,
-            disable=not self.console.is_terminal,
-        ) as progress:
-            task = progress.add_task(name, total=None)
+        progress = Progress(*columns, console=self.console, transient=True, disable=in_a_log)
+        task = progress.add_task(name, total=None)
 
-            def show(done: int, total: int) -> None:
-                text = f"{name}: {done} of {total} pictures"
-                progress.update(task, description=text)
-
-            with self._repeated(lambda: progress.tasks[0].description):
-                yield show
-        self.line(f"{name} took {time.perf_counter() - started:.1f} s")
-
-    @contextlib.contextmanager
-    def _repeated(self, text: Callable[[], str]) -> Iterator[None]:
-        """Print the present ``text`` every few seconds where there is no terminal."""
-        over = threading.Event()
+        def show(done: int, total: int) -> None:
+            progress.update(task, description=f"{name}: {done} of {total} pictures")
 
         def repeat() -> None:
             while not over.wait(SECONDS_IN_A_LOG):
-                self.line(text())
+                self.line(progress.tasks[0].description)
 
-        if not self.console.is_terminal:
+        if in_a_log:
+            self.line(name)
             threading.Thread(target=repeat, name="progress", daemon=True).start()
         try:
-            yield
+            with progress:
+                yield show
         finally:
             over.set()
+        self.line(f"{name} took {time.perf_counter() - started:.1f} s")
 
     def json(self, fields: Mapping[str, Any]) -> None:
         """Print the object for programs if it was asked for; NaN and infinity become null."""
@@ -109,13 +91,6 @@ def evaluation_fields(evaluation: Any) -> dict[str, Any]:
         "return_std": evaluation.std,
         "length_mean": float(evaluation.lengths.mean()),
     }
-
-
-def percentage(value: float, expert_return: float | None) -> str:
-    """Return a return as per cent of the expert's; nothing if that is unknown or not positive."""
-    if expert_return is None or expert_return <= 0.0:
-        return ""
-    return f"{100 * value / expert_return:.0f} %"
 
 
 def this_command(*more: str) -> str:

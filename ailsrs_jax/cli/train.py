@@ -26,10 +26,10 @@ from ailsrs_jax.cli.terminal import (
     Terminal,
     TerminalOptions,
     evaluation_fields,
-    percentage,
     this_command,
 )
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.storage.metrics import percentage
 
 if TYPE_CHECKING:
     from ailsrs_jax.runs.storage.journal import Result

@@ -1,6 +1,5 @@
 """Any Gymnasium environment, simulated by worker processes."""
 
-import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -103,8 +102,13 @@ class GymnasiumEnv:
         episode_length: int,
     ) -> tuple[Trajectories, jax.Array]:
         """Simulate an episode of each policy; see ``MujocoTask.run_episodes``."""
+
+        def run(policies: Perceptrons, starts: Any, noise: np.ndarray) -> Any:
+            states = [None if np.isnan(each).any() else each for each in starts.observation]
+            rows = zip(_perceptrons(policies), noise, starts.seed.tolist(), states, strict=True)
+            return self._run_requests([Request(*row, episode_length) for row in rows])
+
         types = self._types(len(noise), episode_length)
-        run = functools.partial(self._run, episode_length)
         return host_call(run, types, policies, starts, noise)
 
     def begin_segments(self, starts: GymnasiumStart, episode_length: int) -> Unfinished:
@@ -128,43 +132,37 @@ class GymnasiumEnv:
         segments = segment_types(noise.shape[:2], self.observation_size, self.action_size)
         rewards = jax.ShapeDtypeStruct(noise.shape[:2], np.float32)
         types = jax.eval_shape(lambda *x: x, states, times, segments, rewards)
-        run = functools.partial(self._go_on, episode_length)
-        return host_call(run, types, policies, states, times, restarts.seed, noise)
 
-    def _go_on(
-        self,
-        episode_length: int,
-        policies: Perceptrons,
-        states: Any,
-        times: np.ndarray,
-        seeds: np.ndarray,
-        noise: np.ndarray,
-    ) -> Any:
-        results = self._pool.run(
-            [
-                SegmentRequest(
-                    policy=policy,
-                    noise=noise[i],
-                    seed=int(states.seed[i]),
-                    actions=states.actions[i, : times[i]],
-                    restarts=seeds[i],
-                    episode_length=episode_length,
-                    place=i,
-                )
-                for i, policy in enumerate(_perceptrons(policies))
-            ]
-        )
-        *columns, last_seeds, actions = zip(*results, strict=True)
-        observations, taken, following, rewards, *ends = map(np.stack, columns)
-        so_far = np.zeros_like(states.actions)
-        for row, numbers in zip(so_far, actions, strict=True):
-            row[: len(numbers)] = numbers
-        return (
-            Unfinished(np.array(last_seeds, np.int32), so_far),  # type: ignore[arg-type]
-            np.array(list(map(len, actions)), np.int32),
-            Segments(observations, taken, following, *ends),
-            rewards,
-        )
+        def run(
+            policies: Perceptrons, states: Any, times: Any, seeds: np.ndarray, noise: np.ndarray
+        ) -> Any:
+            results = self._pool.run(
+                [
+                    SegmentRequest(
+                        policy=policy,
+                        noise=noise[i],
+                        seed=int(states.seed[i]),
+                        actions=states.actions[i, : times[i]],
+                        restarts=seeds[i],
+                        episode_length=episode_length,
+                        place=i,
+                    )
+                    for i, policy in enumerate(_perceptrons(policies))
+                ]
+            )
+            *columns, last_seeds, actions = zip(*results, strict=True)
+            observations, taken, following, rewards, *ends = map(np.stack, columns)
+            so_far = np.zeros_like(states.actions)
+            for row, numbers in zip(so_far, actions, strict=True):
+                row[: len(numbers)] = numbers
+            return (
+                Unfinished(np.array(last_seeds, np.int32), so_far),  # type: ignore[arg-type]
+                np.array(list(map(len, actions)), np.int32),
+                Segments(observations, taken, following, *ends),
+                rewards,
+            )
+
+        return host_call(run, types, policies, states, times, restarts.seed, noise)
 
     def follow(
         self, policy: str | Callable[[np.ndarray], Any], seeds: Sequence[int], noise: np.ndarray
@@ -185,22 +183,6 @@ class GymnasiumEnv:
             [
                 Request(policy, noise[i], seed, start=None, episode_length=num_steps)
                 for i, seed in enumerate(seeds)
-            ]
-        )
-
-    def _run(
-        self,
-        episode_length: int,
-        policies: Perceptrons,
-        starts: Any,
-        noise: np.ndarray,
-    ) -> tuple[Trajectories, np.ndarray]:
-        in_states = [None if np.isnan(each).any() else each for each in starts.observation]
-        seeds = starts.seed.tolist()
-        return self._run_requests(
-            [
-                Request(policy, noise[i], seeds[i], in_states[i], episode_length)
-                for i, policy in enumerate(_perceptrons(policies))
             ]
         )
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
 from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.data.demonstrations import Demonstrations
@@ -103,10 +104,8 @@ def _infer(env: Env) -> Callable[[np.ndarray, np.ndarray], tuple[jax.Array, jax.
                 found = errors(jnp.vstack([proposed, proposed + jnp.diag(probe)]))
                 slopes = (found[0] - found[1:]).T / probe
                 better = jnp.sum(found[0] ** 2) < jnp.sum(error**2)
-                best, error, jacobian = jax.tree.map(
-                    lambda new, old: jnp.where(better, new, old),
-                    (proposed, found[0], slopes),
-                    (best, error, jacobian),
+                best, error, jacobian = optax.tree.where(
+                    better, (proposed, found[0], slopes), (best, error, jacobian)
                 )
                 damping = damping * jnp.where(better, 0.2, 10.0)
                 gram = jacobian.T @ jacobian

@@ -6,6 +6,7 @@ from ailsrs_jax.data.policies import SavedPolicy, load_policy, policy_files
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.horizon import policy_horizon
+from ailsrs_jax.runs.storage.metrics import percentage
 from ailsrs_jax.runs.storage.policies import EVALUATED
 from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show.episodes.play import play_html, require_playable
@@ -67,11 +68,7 @@ def _of_run(file: Path, kept: SavedPolicy) -> tuple[dict[str, SavedPolicy], str]
         each = load_policy(path)
         if each.env_id != kept.env_id:
             raise UserError(f"{path} is of {each.env_id}, not of the run's task")
-        policies[f"{what}: {_result(returns[iteration], run.expert_return)}"] = each
+        share = percentage(returns[iteration], run.expert_return)
+        result = f"{share} of the expert" if share else f"return {returns[iteration]:.0f}"
+        policies[f"{what}: {result}"] = each
     return policies, f"{run.title}, the policies of a run"
-
-
-def _result(value: float, expert: float | None) -> str:
-    if expert is not None and expert > 0:
-        return f"{100 * value / expert:.0f} % of the expert"
-    return f"return {value:.0f}"

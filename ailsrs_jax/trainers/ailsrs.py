@@ -22,7 +22,6 @@ from ailsrs_jax.trainers.parts.policy_space import PolicySpace
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
-from ailsrs_jax.trainers.parts.starts import draw_starts
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
 
 Metrics = dict[str, jax.Array]
@@ -156,7 +155,7 @@ class Ailsrs(Trainer):
         settings = self.settings
         num_drawn = settings.num_starts if settings.common_starts else settings.num_perturbed
         share = settings.demonstrated_starts
-        starts = draw_starts(self.env, self.reference, key, num_drawn, share)
+        starts = self.reference.draw_starts(self.env, key, num_drawn, share)
         index = jnp.arange(settings.num_perturbed) % num_drawn
         return jax.tree.map(lambda x: x[index], starts)
 

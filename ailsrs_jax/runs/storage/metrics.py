@@ -150,3 +150,10 @@ def as_csv(rows: Iterable[Sequence[Any]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()
+
+
+def percentage(value: float, expert_return: float | None) -> str:
+    """Return a return as per cent of the expert's; nothing if that is unknown or not positive."""
+    if expert_return is None or expert_return <= 0.0:
+        return ""
+    return f"{100 * value / expert_return:.0f} %"

@@ -17,18 +17,10 @@ def comparison_page(
 ) -> Page:
     """Return the page of ``runs`` of one task, by name: a table, and their curves on common axes.
 
-    Args:
-        runs: the runs.
-        header: of the table.
-        rows: of the table, one for each run.
-        note: what the columns mean.
+    The table has a row for each run, and ``note`` says what its columns mean.
     """
     colors = colors_of(runs)
-    experts = {
-        run.comparable_expert_return
-        for run in runs.values()
-        if run.comparable_expert_return is not None
-    }
+    experts = [e for run in runs.values() if (e := run.comparable_expert_return) is not None]
     levels = {
         "evaluation_return": {"expert": max(experts)} if experts else {},
         "expert_distance": {"close to the expert": CLOSE},
@@ -49,13 +41,10 @@ def comparison_page(
         kind="comparison",
         title=f"Runs of {task}",
         subtitle=f"{len(runs)} run{'s' * (len(runs) > 1)}",
-        tiles=[],
         parts=[
             Table("Runs", list(header), [list(row) for row in rows]),
             Chart("Training", panels, colors, "A line is a seed."),
         ],
         note=note,
         commands=[command for run in runs.values() if (command := run.command)],
-        settings=[],
-        versions=[],
     )

@@ -47,19 +47,21 @@ class Media:
 Part = Chart | Table | WeightMaps | Media
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Page:
     """Everything that the template shows, as text; the template escapes it."""
 
     kind: str
     title: str
     subtitle: str
-    tiles: Sequence[Tile]  # the first is the answer, and the largest
+    tiles: Sequence[Tile] = ()  # the first is the answer, and the largest
     parts: Sequence[Part]
-    note: str  # on the tables
+    note: str = ""  # on the tables
     commands: Sequence[str]
-    settings: Sequence[tuple[str, str, bool]]  # name, value, whether it differs from the preset
-    versions: Sequence[tuple[str, str]]
+    settings: Sequence[
+        tuple[str, str, bool]
+    ] = ()  # name, value, whether it differs from the preset
+    versions: Sequence[tuple[str, str]] = ()
 
     def html(self) -> str:
         """Return the page. It loads nothing, and the browser may run no script but its own."""

@@ -12,6 +12,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import Evaluation, evaluation_episodes
 from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.inspection.run import SeedInspection, inspect_run
+from ailsrs_jax.runs.storage.metrics import percentage
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.curves import by_seed
 from ailsrs_jax.show.episodes.frames import Watch, unwatched
@@ -73,7 +74,6 @@ def run_page(
         subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
         tiles=_tiles(run, evaluations, inspections),
         parts=[part for part in parts if part is not None],
-        note="",
         commands=[run.command or "Called from Python with objects that no command can name."],
         settings=[
             (name, str(value), name in changed) for name, value in config["settings"].items()
@@ -126,23 +126,15 @@ def _rank(
     return math.inf if math.isnan(value) else value
 
 
-def _shared_expert(run: SavedRun) -> float | None:
-    """Return the expert's return, if a share of it means something."""
-    expert = run.comparable_expert_return
-    return expert if expert is not None and expert > 0 else None
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
-
-
 def _tiles(
     run: SavedRun,
     evaluations: Mapping[int, Evaluation],
     inspections: Mapping[int, SeedInspection],
 ) -> list[Tile]:
     returns = np.array([evaluation.mean for evaluation in evaluations.values()])
-    expert = _shared_expert(run)
+    expert = run.comparable_expert_return
+    measured = len(returns) > 0 and np.isfinite(returns).all()
+    share = percentage(returns.mean(), expert) if measured else ""
     verdicts = collections.Counter(each.verdict for each in inspections.values())
     judged = "; ".join(
         verdict if len(verdicts) == 1 else f"{number} of {verdicts.total()} seeds {verdict}"
@@ -150,10 +142,10 @@ def _tiles(
     )
     over = f"mean of {len(returns)} seeds" if len(returns) > 1 else "one seed"
     tiles = []
-    if len(returns) and expert and np.isfinite(returns).all():
-        answer = f"{_percent(returns.mean() / expert)} of the expert"
+    if share:
+        answer = f"{share} of the expert"
         if len(returns) > 1:
-            least, most = (_percent(end / expert) for end in (returns.min(), returns.max()))
+            least, most = (percentage(end, expert) for end in (returns.min(), returns.max()))
             over += f", from {least} to {most}"
         tiles.append(Tile("return", plus_minus(returns), "of the kept policies"))
     elif len(returns):
@@ -183,7 +175,7 @@ def _seed_table(
     episodes: int,
     problem: str,
 ) -> Table:
-    expert = _shared_expert(run)
+    expert = run.comparable_expert_return
     measured = {name: title for name, title in MEASURES.items() if name in run.metrics}
     header = ["seed", "return", "of the expert", "verdict", "steps", "length", "kept at iteration"]
     rows = []
@@ -194,7 +186,7 @@ def _seed_table(
             [
                 str(seed),
                 str(evaluation or "–"),
-                _percent(evaluation.mean / expert) if evaluation and expert else "–",
+                (percentage(evaluation.mean, expert) if evaluation else "") or "–",
                 inspections[seed].verdict if seed in inspections else "–",
                 millions(mine["env_steps"].max()),
                 f"{evaluation.lengths.mean():.0f}" if evaluation else "–",

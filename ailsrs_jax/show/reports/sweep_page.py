@@ -49,11 +49,9 @@ def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched)
         kind="sweep",
         title=directory.resolve().name,
         subtitle=_facts(results, groups),
-        tiles=[],
         parts=[part for part in parts if part is not None],
         note=EXPLANATION.replace("*", ""),
         commands=[command for run in runs.values() if (command := run.command)],
-        settings=[],
         versions=[(name, str(version)) for name, version in versions.items()],
     )
 

@@ -1,19 +1,24 @@
 """Demonstrations as imitation learners use them, and the distance of other episodes to them."""
 
 import logging
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from flax import struct
 
 from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
+from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs.interface import starts_at_observations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.settings import parse_entries
+from ailsrs_jax.trainers.parts.rollout import Starts
+from ailsrs_jax.trainers.parts.settings import is_used, parse_entries
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +83,29 @@ class Reference(struct.PyTreeNode):
     def unstandardize(self, observations: jax.Array) -> jax.Array:
         """Return standardised observations ``(..., n)`` in the environment's units."""
         return observations * self.statistics.std + self.statistics.mean
+
+    def draw_starts(
+        self, env: Any, key: jax.Array, num_starts: int, demonstrated: jax.Array | float
+    ) -> Starts:
+        """Draw ``(num_starts,)`` starts: the task's own resets, and states of the demonstrations.
+
+        Args:
+            env: the environment. If it cannot be put into a state, all starts are resets.
+            key: of the draws.
+            num_starts: how many.
+            demonstrated: the share of them that are demonstrated states, drawn uniformly from all.
+                A share that makes no whole number is met on average.
+        """
+        reset_key, step_key, share_key = jax.random.split(key, 3)
+        resets = jax.random.split(reset_key, num_starts)
+        if not is_used(demonstrated) or not starts_at_observations(env):
+            return resets
+        episode, time = sample_steps(step_key, self.lengths, num_starts)
+        states = jax.vmap(env.state_at)(self.unstandardize(self.observations[episode, time]))
+        # Systematic sampling: each start counts with the probability ``demonstrated``.
+        edges = jnp.floor(demonstrated * jnp.arange(num_starts + 1) + jax.random.uniform(share_key))
+        chosen = jnp.diff(edges) > 0
+        return jax.vmap(optax.tree.where)(chosen, states, jax.vmap(env.draw_start)(resets))
 
     def distance(self, key: jax.Array, episodes: Episodes, episode_length: int) -> jax.Array:
         """Return the energy distance of ``episodes`` to the expert's; see :meth:`distances`."""

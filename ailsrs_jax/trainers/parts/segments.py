@@ -5,12 +5,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import struct
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
-from ailsrs_jax.envs.physics import Segments
 from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis, perceptrons_of
 
@@ -132,13 +132,8 @@ def _run_segments(
 ) -> tuple[RunningEnvs, Steps]:
     """Let the environment go on by itself; see ``MujocoTask.run_segments``.
 
-    Args:
-        env: the environment.
-        policy: chooses the actions.
-        episodes: to go on with.
-        noise: ``(T, S, p)``.
-        reset_keys: ``(T, S)``, of the episodes that may begin after each step.
-        episode_length: the time limit.
+    ``noise (T, S, p)`` is added to the actions. With ``reset_keys (T, S)`` episodes begin where
+    others have ended.
     """
 
     @merge_vmapped_axis
@@ -159,24 +154,10 @@ def _run_segments(
         env_rewards=rewards,
         terminated=segments.terminated,
         over=segments.over,
-        diverged=segments.diverged | _ends_of_absurd(rewards, segments),
+        diverged=segments.diverged | ~(jnp.abs(rewards) <= LARGEST),  # NaN compares as false
         copied=segments.diverged,
     )
     return RunningEnvs(env_state, time), steps
-
-
-def _ends_of_absurd(rewards: jax.Array, segments: Segments) -> jax.Array:
-    """``(T, S)`` bool, the last steps of episodes with a reward that is not finite."""
-    # Comparisons with NaN are false.
-    absurd = ~segments.diverged & ~(jnp.abs(rewards) <= LARGEST)
-
-    def forwards(seen: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        absurd, over = step
-        seen = seen | absurd
-        return seen & ~over, seen & over
-
-    unfinished, ends = jax.lax.scan(forwards, absurd[0] & False, (absurd, segments.over))
-    return ends.at[-1].set(ends[-1] | unfinished)
 
 
 def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
@@ -189,11 +170,7 @@ def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
     @merge_vmapped_axis
     def restart(over: jax.Array, keys: jax.Array, states: State) -> State:
         def reset() -> State:
-            return jax.tree.map(
-                lambda new, old: jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), new, old),
-                jax.vmap(env.reset)(keys),
-                states,
-            )
+            return jax.vmap(optax.tree.where)(over, jax.vmap(env.reset)(keys), states)
 
         return jax.lax.cond(over.any(), reset, lambda: states)
 
@@ -203,16 +180,12 @@ def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
 def _replace_diverged(steps: Steps) -> Steps:
     """Replace the steps of episodes that diverged by copies of the others, in turns."""
 
-    def backwards(
-        later: jax.Array, step: tuple[jax.Array, jax.Array]
-    ) -> tuple[jax.Array, jax.Array]:
-        over, diverged = step
-        useless = diverged | (later & ~over)
-        return useless, useless
+    def throughout(over: jax.Array, diverged: jax.Array) -> jax.Array:
+        episode = jnp.cumsum(over) - over  # its number, for each step
+        return jnp.zeros_like(diverged).at[episode].max(diverged)[episode]
 
-    useless: jax.Array
-    nowhere = jnp.zeros(steps.over.shape[1:], bool)
-    _, useless = jax.lax.scan(backwards, nowhere, (steps.over, steps.diverged), reverse=True)
+    useless = jax.vmap(throughout, in_axes=1, out_axes=1)(steps.over, steps.diverged)
+    ends = steps.over.at[-1].set(True)
     flat = useless.ravel()
     useful_first = jnp.argsort(flat, stable=True)
     turn = (jnp.cumsum(flat) - 1) % jnp.maximum(jnp.sum(~flat), 1)
@@ -224,5 +197,5 @@ def _replace_diverged(steps: Steps) -> Steps:
         return jnp.where(flat.all(), jnp.zeros_like(x), copied)
 
     return jax.tree.map(copy, steps).replace(
-        over=steps.over | useless, diverged=steps.diverged, copied=useless
+        over=steps.over | useless, diverged=useless & ends, copied=useless
     )

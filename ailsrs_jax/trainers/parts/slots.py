@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import struct
 
 from ailsrs_jax.components.policy import Policy
@@ -79,13 +80,8 @@ def simulate_in_slots(
         over = (episode < num_episodes) & ended
         following = jnp.minimum(waiting + jnp.cumsum(over) - 1, num_episodes)
         episode = jnp.where(over, following, episode)
-        env_state = jax.tree.map(
-            lambda new, old: jnp.where(
-                over.reshape(-1, *[1] * (old.ndim - 1)), new.at[following].get(mode="clip"), old
-            ),
-            initial,
-            after,
-        )
+        fresh = jax.tree.map(lambda x: x.at[following].get(mode="clip"), initial)
+        env_state = jax.vmap(optax.tree.where)(over, fresh, after)
         idle = (episode == num_episodes).astype(env_state.done.dtype)
         slots = Slots(env_state.replace(done=idle), episode, jnp.where(over, 0, time + 1))
         return slots, jnp.minimum(waiting + jnp.sum(over), num_episodes), episodes

@@ -44,6 +44,15 @@ def refusing(problem: str) -> Iterator[None]:
         raise UserError(f"{problem}: {one_line(error)}") from error
 
 
+@contextlib.contextmanager
+def os_errors(problem: str) -> Iterator[None]:
+    """Turn an OSError of the block into a UserError that begins with ``problem``."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{problem}: {error.strerror or error}") from error
+
+
 def requirement(source: str) -> Callable[[bool, str], None]:
     """Return ``require(condition, problem)``, which raises UserError if the condition is false.
 

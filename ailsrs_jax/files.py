@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.errors import UserError, one_line, refusing
+from ailsrs_jax.errors import UserError, one_line, os_errors, refusing
 
 MAX_JSON = 2**20  # bytes; this package's own files have a few thousand
 MAX_NAME = 200  # characters
@@ -27,7 +27,7 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
         UserError: there is something else than a regular file, or the file cannot be written.
     """
     path = Path(path)
-    try:
+    with os_errors(f"cannot write {path}"):
         target = _followed(path)
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{PARTIAL}")
@@ -42,8 +42,6 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
             except BaseException:
                 temporary.unlink()
                 raise
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -57,13 +55,11 @@ def write_json(path: Path, value: Any) -> None:
 
 def require_writable(path: Path) -> None:
     """Raise UserError unless a file can be written at ``path``; called before a long run."""
-    try:
+    with os_errors(f"cannot write {path}"):
         folder = _followed(path).parent
         while not folder.exists():
             folder = folder.parent
         writable = folder.is_dir() and os.access(folder, os.W_OK)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from error
     if not writable:
         raise UserError(f"cannot write {path}")
 
@@ -101,11 +97,8 @@ def read_small(path: Path, limit: int = MAX_JSON) -> bytes:
         ValueError: it is longer.
     """
     require_file(path)
-    try:
-        with path.open("rb") as file:
-            content = file.read(limit + 1)
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    with os_errors(f"cannot read {path}"), path.open("rb") as file:
+        content = file.read(limit + 1)
     if len(content) > limit:
         raise ValueError("it is too long")
     return content

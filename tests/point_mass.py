@@ -6,6 +6,7 @@ import numpy as np
 
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.data.policies import SavedLinearPolicy
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.trainers.parts.rollout import simulate
 
@@ -51,16 +52,30 @@ class WidePointMass(PointMass):
         return state.replace(obs=jnp.pad(state.obs, (0, WIDE_OBSERVATION - 2)))
 
 
-def wide_demonstrations() -> Demonstrations:
-    """Two episodes of noise."""
-    rng = np.random.default_rng(0)
+def noise(n: int, p: int, lengths: list[int], env_id: str) -> Demonstrations:
+    """Episodes of random observations and actions, each with a return of 1."""
+    rng, shape = np.random.default_rng(0), (len(lengths), max(lengths))
     return Demonstrations(
-        observations=rng.normal(size=(2, 50, WIDE_OBSERVATION)).astype(np.float32),
-        actions=rng.normal(size=(2, 50, WIDE_ACTION)).astype(np.float32),
-        lengths=np.array([50, 50]),
-        returns=np.zeros(2, np.float32),
-        env_id="wide",
+        observations=rng.normal(size=(*shape, n)).astype(np.float32),
+        actions=rng.uniform(-1, 1, (*shape, p)).astype(np.float32),
+        lengths=np.array(lengths),
+        returns=np.ones(len(lengths), np.float32),
+        env_id=env_id,
     )
+
+
+def wide_demonstrations() -> Demonstrations:
+    return noise(WIDE_OBSERVATION, WIDE_ACTION, [50, 50], "wide")
+
+
+def linear_policy(
+    weights: np.ndarray, env_id: str = "PointMass", **changes: np.ndarray
+) -> SavedLinearPolicy:
+    """A policy of observations as they are, with actions from −1 to 1."""
+    p, n = weights.shape
+    fields = {"mean": np.zeros(n), "std": np.ones(n)}
+    fields |= {"action_low": -np.ones(p), "action_high": np.ones(p)}
+    return SavedLinearPolicy(weights=weights, env_id=env_id, **(fields | changes))
 
 
 def expert_policy() -> LinearPolicy:

@@ -10,7 +10,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.trainers.algorithms import find_algorithm
-from tests.point_mass import PointMass, point_mass_demonstrations
+from tests.point_mass import PointMass
 from tests.sweeps.toy_sweep import POINT_MASS, TINY
 
 PAGE = Path(__file__).parents[1] / "docs" / "your_own_algorithm.md"
@@ -20,11 +20,10 @@ SMALL = TINY | {"num_directions": 2, "num_top_directions": 1}  # p n = 2 orthogo
 
 
 @pytest.fixture
-def my_file(in_tmp_path: Path) -> Path:
+def my_file(in_tmp_path: Path, point_mass_expert: ail.Demonstrations) -> Path:
     path = in_tmp_path / "my_file.py"
     path.write_text(EXAMPLE)
-    demonstrations = point_mass_demonstrations(PointMass()).replace(env_id=POINT_MASS)
-    ail.save_demonstrations(demonstrations, "point_mass.npz")
+    ail.save_demonstrations(point_mass_expert.replace(env_id=POINT_MASS), "point_mass.npz")
     return path
 
 

@@ -151,15 +151,15 @@ def train(
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
     learns_from, expert_return = "the environment's reward", None
-    if planned.expert_returns is not None:
-        expert_return = float(np.mean(planned.expert_returns))
+    if planned.data.expert_returns is not None:
+        expert_return = float(np.mean(planned.data.expert_returns))
         learns_from = (
             f"{config.num_trajectories} demonstrations {config.source}, return {expert_return:.0f}"
         )
-        learns_from += "" if planned.infer is None else ", actions inferred first"
+        learns_from += "" if planned.data.infer is None else ", actions inferred first"
     named = " ".join(map(str, config.seeds))
     terminal.line(
-        f"{planned.algorithm.title} on {config.env_id} · {learns_from} · preset {preset} · "
+        f"{find_algorithm(algorithm).title} on {config.env_id} · {learns_from} · preset {preset} · "
         f"seeds {named}\nphysics {config.physics} ({planned.physics_reason}) · "
         f"devices: {planned.simulator.num_devices} · {output}"
     )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ailsrs_jax.data.formats.policy import Layers, read_policy, require_format
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.files import write_atomically
 
 EXPERTS = ("paper", "linear")  # names of experts in the package besides the default one
@@ -217,13 +217,11 @@ def policy_files(path: Path) -> list[Path]:
     Raises:
         UserError: the directory holds no policy, or cannot be read.
     """
-    try:
+    with os_errors(f"cannot read {path}"):
         names = ("policy.npz", "seed_*/policy.npz")
         found = [file for name in names for file in path.glob(name)]
         found.sort(key=lambda file: (len(file.parent.name), file.parent.name))  # 2 before 10
         paths = found if path.is_dir() else [path]
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
     if not paths:
         raise UserError(f"{path} holds no seed_*/policy.npz: is it a finished run?")
     return paths

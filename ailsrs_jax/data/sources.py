@@ -16,7 +16,7 @@ from ailsrs_jax.data.demonstrations import (
 from ailsrs_jax.data.episodes import Recording, load_imitation, load_minari, save_minari
 from ailsrs_jax.data.formats.imitation import require_no_pickle
 from ailsrs_jax.data.formats.minari import require_new_minari
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.files import require_writable
 
 MINARI = "minari:"
@@ -101,7 +101,9 @@ def open_source(
     if argument.startswith(MINARI):
         read, num_left_out = load_minari(argument.removeprefix(MINARI), env_id, num_trajectories)
         return read, Source("minari", name.removeprefix(MINARI), num_left_out)
-    if _is_directory(path):
+    with os_errors(f"cannot read {path}"):
+        is_directory = path.is_dir()
+    if is_directory:
         read, num_left_out = load_imitation(path, env_id, num_trajectories)
         return read, Source("imitation", name, num_left_out)
     require_no_pickle(path)
@@ -134,10 +136,3 @@ def save_recording(recording: Recording, target: str) -> None:
         save_minari(recording, target.removeprefix(MINARI))
     else:
         save_demonstrations(recording.demonstrations, target)
-
-
-def _is_directory(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error

@@ -138,27 +138,20 @@ def evaluation_episodes(
     return roll_out(policy, task, num_episodes, key, length, noise_std, starts)
 
 
-def evaluate_random(
-    env_id: str,
-    num_episodes: int = 100,
-    physics: str = "gymnasium",
-    seed: int = 0,
-    *,
-    episode_length: int | None = None,
-) -> Evaluation:
-    """Measure the return of uniformly random actions; see :func:`evaluate`."""
-    env = _open(env_id, physics)
-    length = episode_length or env_horizon(env)
+def evaluate_random(env_id: str, physics: str, episode_length: int) -> Evaluation:
+    """Measure the return of uniformly random actions in 100 episodes; see :func:`evaluate`."""
+    env, num_episodes = _open(env_id, physics), 100
     still = still_policy(env)
     low, high = still.action_low, still.action_high
-    noise_key, reset_key = jax.random.split(jax.random.key(seed))
-    noise = jax.random.uniform(noise_key, (num_episodes, length, len(low)), minval=low, maxval=high)
-    starts: Starts | None = _resets(env, seed, num_episodes)
+    noise_key, reset_key = jax.random.split(jax.random.key(0))
+    shape = num_episodes, episode_length, len(low)
+    noise = jax.random.uniform(noise_key, shape, minval=low, maxval=high)
+    starts: Starts | None = _resets(env, 0, num_episodes)
     if starts is None:
         starts = jax.random.split(reset_key, num_episodes)
     policies = repeated(still, num_episodes)
     with host_errors():
-        run = jax.jit(lambda: simulate(env, policies, starts, length, noise=noise))
+        run = jax.jit(lambda: simulate(env, policies, starts, episode_length, noise=noise))
         episodes = jax.block_until_ready(run())
     return Evaluation.of(episodes)
 

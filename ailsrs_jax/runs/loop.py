@@ -109,8 +109,8 @@ class _Run:
             policies=by_seed(kept.policy, config),
             kept_iterations=dict(zip(config.seeds, iterations, strict=True)),
             scores=dict(zip(config.seeds, scores, strict=True)),
-            expert_returns=self._plan.expert_returns,
-            demonstrated_length=self._plan.demonstrated_length,
+            expert_returns=self._plan.data.expert_returns,
+            demonstrated_length=self._plan.data.time_limit,
         )
 
     def _num_done(self, progress: Progress) -> int:

@@ -1,7 +1,6 @@
 """The plan of a run: a specification that is checked and ready to start."""
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 import numpy as np
@@ -22,7 +21,7 @@ from ailsrs_jax.trainers.algorithms import (
 )
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,25 +31,18 @@ class Plan:
     spec: RunSpec  # names and physics resolved, so that its command makes the same run again
     config: RunConfig
     simulator: Simulator
-    demonstrations: Demonstrations | None
-    infer: Callable[[], Demonstrations] | None  # see TrainingData
+    data: TrainingData
     physics_reason: str  # why this engine, for people to read
-    demonstrated_length: int | None  # the time limit of the demonstrations, in environment steps
-    expert_returns: np.ndarray | None  # of all episodes that the demonstrations were drawn from
-
-    @property
-    def algorithm(self) -> Algorithm:
-        """The algorithm that trains."""
-        return find_algorithm(self.config.algorithm)
 
     def make_trainer(self) -> Trainer:
         """Make the trainer; see :func:`~ailsrs_jax.trainers.algorithms.make_trainer`."""
-        return self._make_trainer(self.demonstrations if self.infer is None else self.infer())
+        data = self.data
+        return self._make_trainer(data.demonstrations if data.infer is None else data.infer())
 
     def check(self) -> None:
         """Raise UserError if :meth:`make_trainer` would; nothing is simulated."""
-        demonstrations = self.demonstrations
-        if demonstrations is not None and self.infer is not None:
+        demonstrations = self.data.demonstrations
+        if demonstrations is not None and self.data.infer is not None:
             shape = (*demonstrations.alive.shape, self.simulator.env.action_size)
             demonstrations = demonstrations.replace(actions=np.zeros(shape, np.float32))
         jax.eval_shape(lambda: (self._make_trainer(demonstrations), 0)[1])
@@ -111,11 +103,8 @@ def plan(spec: RunSpec) -> Plan:
         spec=_resolved(spec, config, limit),
         config=config,
         simulator=simulator,
-        demonstrations=data.demonstrations,
-        infer=data.infer,
+        data=data,
         physics_reason=reason,
-        demonstrated_length=data.time_limit,
-        expert_returns=data.expert_returns,
     )
 
 

@@ -20,7 +20,7 @@ def stack_key(plan: Plan) -> Hashable:
     because a term with weight 0 is left out of the program. Demonstrations may differ in the number
     of episodes but not in their length.
     """
-    config, demonstrations = plan.config, plan.demonstrations
+    config, demonstrations = plan.config, plan.data.demonstrations
     settings = tuple(
         (name, value == 0 if isinstance(value, float) else value)
         for name, value in vars(config.settings).items()

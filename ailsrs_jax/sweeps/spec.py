@@ -20,6 +20,7 @@ from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.sweeps.cells import Cell, Sweep
+from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.settings import as_text
 
 # Keys of a grid entry with the type of their values, which are fields of RunSpec. Each may be a
@@ -171,7 +172,7 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
     return [
         Cell(
             name=f"{name}-seed{seed}",
-            label=label or planned.algorithm.title,
+            label=label or find_algorithm(config.algorithm).title,
             spec=dataclasses.replace(spec, seeds=(seed,)),
             all_settings=dataclasses.asdict(config.settings),
             engine=config.physics,

@@ -197,7 +197,7 @@ def _write_csv(path: Path, rows: Iterable[TableRow]) -> None:
 @functools.cache
 def random_return(env_id: str, physics: str, episode_length: int) -> float:
     """Compute the mean return of uniformly random actions."""
-    return evaluate_random(env_id, physics=physics, episode_length=episode_length).mean
+    return evaluate_random(env_id, physics, episode_length).mean
 
 
 @functools.cache

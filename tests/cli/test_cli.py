@@ -14,10 +14,11 @@ import pytest
 
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.data.demonstrations import load_demonstrations
-from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.data.sources import content_hash
 from ailsrs_jax.runs.evaluation import evaluate
 from ailsrs_jax.show.curves import plot_training_curve
+from tests.point_mass import linear_policy
 
 TINY = [
     "num_directions=2",
@@ -190,15 +191,7 @@ def test_fewer_demonstrations_are_the_first_of_more() -> None:
 
 @pytest.mark.parametrize("physics", ["mujoco", "gymnasium"])
 def test_a_policy_must_fit_where_it_is_evaluated(physics: str, monkeypatch, capsys) -> None:
-    ones = np.ones(2)
-    SavedLinearPolicy(
-        weights=np.ones((2, 5)),
-        mean=np.zeros(5),
-        std=np.ones(5),
-        action_low=-ones,
-        action_high=ones,
-        env_id="Swimmer-v5",
-    ).save(Path("policy.npz"))
+    linear_policy(np.ones((2, 5)), "Swimmer-v5").save(Path("policy.npz"))
     assert ailsrs(monkeypatch, "evaluate", "policy.npz", "--physics", physics) == 2
     assert (
         "takes 5 observations and gives 2 actions: the environment has 8 and 2"

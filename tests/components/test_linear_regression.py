@@ -35,6 +35,15 @@ def test_ridge_regression_minimises_its_loss() -> None:
     np.testing.assert_allclose(weights, expected, rtol=1e-4, atol=1e-5)
 
 
+def test_ridge_regression_recovers_a_linear_map_and_ignores_the_masked() -> None:
+    weights = jax.random.normal(jax.random.key(0), (2, 5))
+    inputs = jax.random.normal(jax.random.key(1), (4, 50, 5))
+    mask = jnp.arange(50) < jnp.array([[50], [20], [1], [0]])
+    targets = jnp.where(mask[..., None], inputs @ weights.T, jnp.nan)
+    found = jax.jit(ridge_regression)(inputs, targets, mask, penalty=1e-6)
+    np.testing.assert_allclose(found, weights, atol=1e-3)
+
+
 def test_affine_regression_takes_the_penalty_that_cross_validation_prefers() -> None:
     chosen = set()
     for num_samples, noise in ((60, 0.0), (16, 3.0), (16, 10.0)):

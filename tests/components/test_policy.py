@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ailsrs_jax.components.linear_regression import ridge_regression
 from ailsrs_jax.components.policy import LinearPolicy, keep
 
 
@@ -48,20 +47,3 @@ def test_the_latest_of_nearly_the_smallest_distance_is_kept() -> None:
         found.append(int(kept.iteration))
     assert found == [0, 1, 2, 2, 4, 4, 6, 7, 7]  # 1.3 and 2 are not within 1.25, nor is 1.2 of 0.9
     assert float(kept.score) == pytest.approx(-1.1)
-
-
-def test_ridge_regression_recovers_a_linear_map_and_ignores_the_masked() -> None:
-    weights = jax.random.normal(jax.random.key(0), (2, 5))
-    inputs = jax.random.normal(jax.random.key(1), (4, 50, 5))
-    mask = jnp.arange(50) < jnp.array([[50], [20], [1], [0]])
-    targets = jnp.where(mask[..., None], inputs @ weights.T, jnp.nan)
-    found = jax.jit(ridge_regression)(inputs, targets, mask, penalty=1e-6)
-    np.testing.assert_allclose(found, weights, atol=1e-3)
-
-
-def test_ridge_regression_solves_the_normal_equations() -> None:
-    inputs = np.random.default_rng(0).normal(size=(30, 3))
-    targets = np.random.default_rng(1).normal(size=(30, 2))
-    expected = np.linalg.solve(inputs.T @ inputs / 30 + 0.1 * np.eye(3), inputs.T @ targets / 30).T
-    found = ridge_regression(jnp.float32(inputs), jnp.float32(targets), jnp.ones(30, bool), 0.1)
-    np.testing.assert_allclose(found, expected, rtol=1e-3)

@@ -4,23 +4,15 @@ import jax
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.policies import SavedLinearPolicy, SavedPolicy, expert_path, load_policy
+from ailsrs_jax.data.policies import SavedPolicy, expert_path, load_policy
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import record, roll_out
-from tests.point_mass import TIME_STEP, PointMass
+from tests.point_mass import TIME_STEP, PointMass, linear_policy
 
 
 def pushes(weights: list[float]) -> SavedPolicy:
-    ones = np.ones(1, np.float32)
-    return SavedLinearPolicy(
-        weights=np.array([weights]),
-        mean=np.zeros(2),
-        std=np.ones(2),
-        action_low=-ones,
-        action_high=ones,
-        env_id="PointMass",
-    )
+    return linear_policy(np.array([weights]))
 
 
 def one_step(observation: np.ndarray, action: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ def test_the_demonstrations_say_how_long_episodes_are(point_mass_expert: Demonst
     assert plan(spec).config.settings.episode_length == EPISODE_LENGTH
     spec = RunSpec(PointMass(), point_mass_expert, settings={"episode_length": 30})
     made = plan(spec)
-    assert (made.config.settings.episode_length, made.demonstrated_length) == (30, 60)
+    assert (made.config.settings.episode_length, made.data.time_limit) == (30, 60)
     assert plan(RunSpec(PointMass(), algorithm="ars")).config.settings.episode_length == 1000
 
 

@@ -106,10 +106,10 @@ def test_a_seed_can_draw_its_own_episodes(
     def drawn(**fields: Any) -> Demonstrations:
         fields = {"num_trajectories": 2, "draw_from": count, "seeds": [3]} | fields
         planned = plan(RunSpec(point_mass, point_mass_expert, **fields))
-        assert planned.demonstrations is not None
+        assert planned.data.demonstrations is not None
         # A seed that draws a bad episode is not better than the expert for it.
-        np.testing.assert_array_equal(planned.expert_returns, point_mass_expert.returns)
-        return planned.demonstrations
+        np.testing.assert_array_equal(planned.data.expert_returns, point_mass_expert.returns)
+        return planned.data.demonstrations
 
     order = np.random.default_rng(3).permutation(count)[:2]
     np.testing.assert_array_equal(drawn().lengths, point_mass_expert.lengths[order])

@@ -8,17 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ailsrs_jax.cli.signals import StopSignals
-from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.loop import execute
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.runs.plan import plan as make_plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.journal import Result
-from tests.point_mass import PointMass
+from tests.point_mass import PointMass, noise
 
 SEARCH = {"num_directions": 4, "num_top_directions": 2, "episode_length": 20}
 ADVERSARY = {
@@ -31,14 +28,7 @@ SEEDS = (0, 5)
 
 
 def plan(num_iterations: int, algorithm: str, **changes: Any) -> Plan:
-    rng = np.random.default_rng(0)
-    demonstrations = Demonstrations(
-        observations=rng.normal(size=(3, 20, 2)).astype(np.float32),
-        actions=rng.uniform(-1, 1, (3, 20, 1)).astype(np.float32),
-        lengths=np.full(3, 20),
-        returns=np.ones(3, np.float32),
-        env_id="PointMass",
-    )
+    demonstrations = noise(2, 1, [20, 20, 20], "PointMass")
     settings = SEARCH | {"num_iterations": num_iterations}
     if algorithm == "ailsrs":
         settings |= ADVERSARY

@@ -23,7 +23,7 @@ from ailsrs_jax.show.episodes import renderer as offscreen
 from ailsrs_jax.show.episodes.frames import GAP, side_by_side
 from ailsrs_jax.show.episodes.replay import Replay, replay
 from ailsrs_jax.show.video import Animation, encode
-from tests.point_mass import PointMass
+from tests.point_mass import PointMass, linear_policy
 
 SLIDER = """
 <mujoco>
@@ -57,14 +57,8 @@ class Slider(ail.MujocoTask):
 
 def push(force: float) -> ail.SavedPolicy:
     """The same force whatever is observed, of at most 1."""
-    return ail.SavedLinearPolicy(
-        weights=np.zeros((1, 2)),
-        mean=np.zeros(2),
-        std=np.ones(2),
-        action_low=np.full(1, force),
-        action_high=np.full(1, force),
-        env_id="Slider",
-    )
+    limit = np.full(1, force)
+    return linear_policy(np.zeros((1, 2)), "Slider", action_low=limit, action_high=limit)
 
 
 @pytest.fixture(scope="module")

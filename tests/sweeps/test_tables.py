@@ -42,7 +42,7 @@ def test_what_a_sweep_says(demonstrations: str) -> None:
         )
         policy = ail.load_policy(Path("sweep/cells", row["cell"], "seed_0/policy.npz"))
         evaluation = ail.evaluate(policy, 2, "auto", episode_length=20)
-        random = evaluate_random(POINT_MASS, physics="auto", episode_length=20).mean
+        random = evaluate_random(POINT_MASS, "auto", 20).mean
         level = np.mean(expert.returns[:number])
         expected = {
             "num_trajectories": number,

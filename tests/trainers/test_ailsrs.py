@@ -15,7 +15,7 @@ from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.reference import distance_features
-from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass
+from tests.point_mass import EPISODE_LENGTH, EXPERT_WEIGHTS, PointMass, noise
 
 SMALL = AilsrsSettings(
     num_iterations=3,
@@ -113,8 +113,10 @@ def test_statistics_run_or_stay_the_experts(
         assert (float(after.statistics.count) > float(state.statistics.count)) == moves
 
 
-@pytest.mark.parametrize("after_end", [1.0, 0.0, 0.75])
-@pytest.mark.parametrize("sees", ["state_action", "state", "state_next_state"])
+@pytest.mark.parametrize(
+    ("sees", "after_end"),
+    [("state_action", 1.0), ("state_action", 0.75), ("state", 0.0), ("state_next_state", 0.75)],
+)
 def test_reward_of_a_rollout_in_closed_form(
     after_end: float, sees: str, point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:
@@ -227,14 +229,7 @@ def test_learns_the_point_mass_from_nothing(
 
 
 def swimmer_trainer(physics: str, settings: AilsrsSettings) -> Ailsrs:
-    rng = np.random.default_rng(0)
-    demonstrations = Demonstrations(
-        observations=rng.normal(size=(2, 50, 8)).astype(np.float32),
-        actions=rng.uniform(-1, 1, (2, 50, 2)).astype(np.float32),
-        lengths=np.array([50, 20]),
-        returns=np.zeros(2, np.float32),
-        env_id="Swimmer-v5",
-    )
+    demonstrations = noise(8, 2, [50, 20], "Swimmer-v5")
     return make_ailsrs(make_env("swimmer", physics), demonstrations, settings)
 
 

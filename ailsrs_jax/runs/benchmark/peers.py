@@ -9,15 +9,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
-from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
+from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.trainers.parts.rollout import Simulator
 
 SECONDS = 3.0  # how long a configuration of a vector environment is stepped
@@ -71,9 +69,7 @@ def gymnasium_vector(env_id: str) -> float:
 def gymnasium_workers(env_id: str, num_directions: int, episode_length: int) -> float:
     """Measure whole episodes of linear policies that do nothing, in a process for each core."""
     env = GymnasiumEnv(env_id)
-    n, p, num_episodes = env.observation_size, env.action_size, 2 * num_directions
-    still = LinearPolicy(jnp.zeros((p, n)), jnp.zeros(n), jnp.ones(n), *action_range(env))
-    simulator = Simulator(env)
+    still, simulator, num_episodes = still_policy(env), Simulator(env), 2 * num_directions
     steps, key = 0, jax.random.key(0)
     simulator.evaluate(still, key, num_episodes, 1)  # starts the processes
     started = time.perf_counter()

@@ -94,7 +94,8 @@ def train_expert(
         offer(policy, score)
         if watch is not None:
             watch(report)
-        report.require_most_finite()
+        if report.divergence is not None:
+            raise report.divergence
 
     if isinstance(chosen, PpoSettings):
         train_ppo(task.env, chosen, seed, consider)

@@ -226,11 +226,9 @@ def _hashes(directory: Path) -> str:
 
 def _shapes(tree: Any) -> dict[str, Any]:
     """Return shape and type of each array by name, since Orbax reads named tuples as dicts."""
-    leaves, _ = jax.tree.flatten_with_path(tree)
-    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves)
     return {
-        name: (leaf.shape, jnp.dtype(leaf.dtype))
-        for name, (_, leaf) in zip(names, leaves, strict=True)
+        jax.tree_util.keystr(path, simple=True, separator="."): (x.shape, jnp.dtype(x.dtype))
+        for path, x in jax.tree.leaves_with_path(tree)
     }
 
 

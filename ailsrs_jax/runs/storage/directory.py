@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from ailsrs_jax.errors import InUseError, UserError
+from ailsrs_jax.errors import InUseError, UserError, os_errors
 from ailsrs_jax.files import PARTIAL
 from ailsrs_jax.runs.storage.config import RunConfig, read_config
 from ailsrs_jax.runs.storage.processes import is_first_process
@@ -52,12 +52,10 @@ def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
 
 def _require_empty(path: Path) -> None:
     """Raise UserError unless only hidden files are there, which a killed process may leave."""
-    try:
+    with os_errors(f"cannot write {path}"):
         occupied = path.exists() and (
             not path.is_dir() or not all(file.name.startswith(".") for file in path.iterdir())
         )
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from error
     if occupied:
         raise UserError(f"{path} is not empty: add --resume to go on, or choose another --output")
 

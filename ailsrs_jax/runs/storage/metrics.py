@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, one_line, os_errors
 from ailsrs_jax.files import require_file, write_atomically
 
 
@@ -36,11 +36,6 @@ class IterationReport:
         """The error if most episodes of this iteration diverged, over all seeds; else None."""
         episodes, diverged = (int(self.metrics[name].sum()) for name in ("episodes", "diverged"))
         return _divergence(self.iteration, episodes, diverged)
-
-    def require_most_finite(self) -> None:
-        """Raise UserError if most episodes of this iteration diverged, over all seeds."""
-        if (error := self.divergence) is not None:
-            raise error
 
 
 class CsvFile:
@@ -82,14 +77,11 @@ class CsvFile:
         if not self._has_header:
             lines.insert(0, list(columns))
             self._has_header = True
-        try:
-            with self._path.open("ab") as file:
-                file.write(as_csv(lines))
-                if to_disk:
-                    file.flush()
-                    os.fsync(file.fileno())
-        except OSError as error:
-            raise UserError(f"cannot write {self._path}: {error.strerror}") from error
+        with os_errors(f"cannot write {self._path}"), self._path.open("ab") as file:
+            file.write(as_csv(lines))
+            if to_disk:
+                file.flush()
+                os.fsync(file.fileno())
 
 
 def read_rows(path: Path) -> list[list[str]]:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show.episodes.frames import Watch, unwatched
@@ -60,7 +60,5 @@ def report(
 
 
 def _holds(directory: Path, name: str) -> bool:
-    try:
+    with os_errors(f"cannot read {directory}"):
         return (directory / name).is_file()
-    except OSError as error:
-        raise UserError(f"cannot read {directory}: {error.strerror}") from error

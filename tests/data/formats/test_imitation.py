@@ -107,7 +107,6 @@ def refused(directory: Path, message: str = "") -> None:
         load_imitation(directory, "Swimmer-v5")
     assert message in str(caught.value)
     assert str(caught.value).startswith(str(directory))
-    assert "\n" not in str(caught.value)
 
 
 def test_other_directories_are_refused(tmp_path: Path) -> None:
@@ -138,7 +137,6 @@ def test_older_formats_are_never_unpickled(tmp_path: Path) -> None:
         with pytest.raises(UserError) as caught:
             require_no_pickle(tmp_path / name)
         assert "serialize.save('DIRECTORY', serialize.load(" in str(caught.value)
-        assert "\n" not in str(caught.value)
     assert not marker.exists()
 
 

@@ -102,9 +102,8 @@ def test_a_damaged_file_of_the_newest_is_noticed(
 def test_none_that_can_be_read_is_an_error_and_nothing_is_removed(copy: Path, capfd) -> None:
     for number in (2, 3):
         (copy / str(number) / HASHES).write_text("")
-    with pytest.raises(UserError, match="delete them to start over") as caught:
+    with pytest.raises(UserError, match="delete them to start over"):
         read(copy)
-    assert len(str(caught.value).splitlines()) == 1
     assert sorted(path.name for path in copy.iterdir()) == ["2", "3"]
     assert capfd.readouterr().err == ""
 

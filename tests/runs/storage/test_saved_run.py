@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ailsrs_jax.data.demonstrations import save_demonstrations
+from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.plan import plan
@@ -16,7 +16,6 @@ from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import read_metrics
 from ailsrs_jax.runs.storage.saved_run import read_run
-from tests.point_mass import PointMass, point_mass_demonstrations
 from tests.runs import toy_run
 
 POINT_MASS = "tests.point_mass:PointMass"
@@ -24,11 +23,12 @@ SETTINGS = {"num_iterations": 3, "episode_length": 20, "gradient_steps": 5}
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+def trained(
+    tmp_path_factory: pytest.TempPathFactory, point_mass_expert: Demonstrations
+) -> tuple[Path, Result]:
     """A run of behaviour cloning with two seeds, from a file."""
     folder = tmp_path_factory.mktemp("saved")
-    recorded = point_mass_demonstrations(PointMass()).replace(env_id=POINT_MASS)
-    save_demonstrations(recorded, folder / "mine.npz")
+    save_demonstrations(point_mass_expert.replace(env_id=POINT_MASS), folder / "mine.npz")
     spec = RunSpec(
         POINT_MASS, folder / "mine.npz", "bc", seeds=(0, 5), subsample=2, settings=SETTINGS
     )

@@ -22,7 +22,7 @@ from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.show.episodes import renderer as offscreen
 from ailsrs_jax.show.reports import page, run_page
 from ailsrs_jax.trainers.algorithms import preset_settings
-from tests.point_mass import EXPERT_WEIGHTS
+from tests.point_mass import EXPERT_WEIGHTS, linear_policy
 from tests.sweeps.synthetic_sweep import row, write_sweep
 
 HOSTILE = "</title><script>alert(1)</script><img src=https://x.invalid/a onerror='alert(2)'>"
@@ -69,15 +69,7 @@ def write_run(directory: Path, **changes: Any) -> Path:
     }
     (directory / "result.json").write_text(json.dumps(result))
     allow(POINT_MASS)
-    ones = np.ones(1)
-    ail.SavedLinearPolicy(
-        weights=EXPERT_WEIGHTS,
-        mean=np.zeros(2),
-        std=np.ones(2),
-        action_low=-ones,
-        action_high=ones,
-        env_id=POINT_MASS,
-    ).save(directory / "seed_0" / "policy.npz")
+    linear_policy(EXPERT_WEIGHTS, POINT_MASS).save(directory / "seed_0" / "policy.npz")
     return directory
 
 

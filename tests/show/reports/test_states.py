@@ -23,6 +23,7 @@ from ailsrs_jax.show.reports.states import (
 from ailsrs_jax.show.reports.weights import MOST_ENTRIES, weight_maps
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from tests.point_mass import linear_policy
 
 RNG = np.random.default_rng(0)
 WEIGHTS = RNG.normal(size=(3, 11))
@@ -43,15 +44,7 @@ def steps(observations: np.ndarray) -> Reference:
 
 
 def policy(env_id: str = "Hopper-v5", n: int = 11) -> ail.SavedLinearPolicy:
-    ones = np.ones(3)
-    return ail.SavedLinearPolicy(
-        weights=np.resize(WEIGHTS, (3, n)),
-        mean=np.zeros(n),
-        std=np.full(n, 4.0),
-        action_low=-ones,
-        action_high=ones,
-        env_id=env_id,
-    )
+    return linear_policy(np.resize(WEIGHTS, (3, n)), env_id, std=np.full(n, 4.0))
 
 
 def test_the_expert_is_drawn_along_the_directions_in_which_it_varies() -> None:

@@ -124,11 +124,11 @@ def reference_of(observations: np.ndarray, lengths: list[int]) -> Reference:
 @pytest.mark.parametrize("env_id", TASKS)
 def test_the_state_of_an_observation_makes_it_again(env_id: str) -> None:
     env = make_env(env_id, "mujoco")
-    state = env.reset(jax.random.key(0))
+    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
     for action in jax.random.uniform(jax.random.key(1), (3, env.action_size), minval=-0.3):
-        state = env.step(state, action)
+        state = step(state, action)
     num_numbers = env.physics.model.nq + env.physics.model.nv - env._num_hidden_positions
-    again = env.start(env.state_at(state.obs))
+    again = jax.jit(lambda observation: env.start(env.state_at(observation)))(state.obs)
     # Forces and velocities of bodies are those of the last step, which a start does not have.
     np.testing.assert_allclose(again.obs[:num_numbers], state.obs[:num_numbers], atol=1e-6)
 

@@ -1,5 +1,6 @@
 """Fixtures for all tests."""
 
+import dataclasses
 import os
 import sys
 import tempfile
@@ -11,6 +12,9 @@ import pytest
 
 from ailsrs_jax import own_code
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.envs import Env
+from ailsrs_jax.runs import devices
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from tests.point_mass import PointMass, point_mass_demonstrations
 
 jax.config.update("jax_num_cpu_devices", 4)  # for the tests of many devices; the first is enough
@@ -34,6 +38,25 @@ def pytest_configure(config: pytest.Config) -> None:
         if jax.__version_info__ < (0, 11):  # later ones end the program at an unknown flag
             flags.append("--xla_cpu_use_fusion_emitters=false")
         os.environ["XLA_FLAGS"] = " ".join([*flags, os.environ.get("XLA_FLAGS", "")])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_device() -> Iterator[None]:
+    """Runs share one device, because programs for several compile slowly; see ``many_devices``."""
+
+    def choose(env: Env, batch_size: int | None = None) -> Simulator:
+        return dataclasses.replace(devices.choose_simulator(env, batch_size), mesh=None)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ailsrs_jax.runs.plan.choose_simulator", choose)
+        patch.setattr("ailsrs_jax.runs.experts.expert.choose_simulator", choose)
+        yield
+
+
+@pytest.fixture
+def many_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs share all devices, as they do outside of tests."""
+    monkeypatch.setattr("ailsrs_jax.runs.plan.choose_simulator", devices.choose_simulator)
 
 
 @pytest.fixture(scope="session")

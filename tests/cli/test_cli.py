@@ -124,6 +124,8 @@ def test_demonstrations_of_ones_own_expert(monkeypatch, capsys) -> None:
     assert ailsrs(monkeypatch, "demonstrate", "hopper", *arguments) == 2
     capsys.readouterr()
 
+    clones = {"linear_clone_return": 1.0, "neural_clone_return": 2.0}  # they take long to make
+    monkeypatch.setattr("ailsrs_jax.runs.inspection.demonstrations._clones", lambda *_: clones)
     assert ailsrs(monkeypatch, "inspect", "own.npz", "--num-trajectories", 1) == 0
     printed = capsys.readouterr().out
     assert re.search(r"transitions +1000\b", printed)

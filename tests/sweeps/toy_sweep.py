@@ -8,13 +8,14 @@ POINT_MASS = "tests.point_mass:PointMass"
 SEARCH = {
     "num_iterations": 3,
     "episode_length": 20,
-    "num_directions": 1,  # for one device, because JAX traces programs for several slowly
+    "num_directions": 1,
     "num_top_directions": 1,
 }
 TINY = SEARCH | {
     "num_distance_samples": 50,
     "discriminator_batch_size": 16,
     "memory_samples": 16,
+    "leave_out_beyond": 0.0,
 }
 
 

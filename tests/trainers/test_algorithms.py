@@ -31,6 +31,7 @@ TINY: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.usefixtures("many_devices")
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_all_leave_the_same_behind(
     algorithm: str, point_mass: PointMass, point_mass_expert: Demonstrations, tmp_path: Path

@@ -11,7 +11,8 @@ import pytest
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.inspection.comparison import POINTS, compare_runs
-from tests.runs.toy_run import SEEDS, plan, run
+from tests.runs.toy_run import SEEDS
+from tests.show.reports.test_report import write_run
 
 METRICS = """iteration,seed,env_steps,evaluation_return,expert_distance
 0,{0},100,2,3
@@ -27,14 +28,15 @@ SECONDS = "iteration,seconds,compile_seconds\n0,1,5\n1,2,0\n2,4,0\n"
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two seeds whose records are made up; the expert's return is 10."""
-    path = tmp_path_factory.mktemp("runs") / "made_up"
-    run(plan(3, "ailsrs"), path)
+    path = write_run(tmp_path_factory.mktemp("runs") / "made_up", seeds=SEEDS, env_id="Task")
     (path / "metrics.csv").write_text(METRICS.format(*SEEDS))
     (path / "seconds.csv").write_text(SECONDS)
     result = json.loads((path / "result.json").read_text())
     result["expert_return"]["mean"] = 10.0
-    for seed, kept in zip(SEEDS, (2, 1), strict=True):
-        result["seeds"][str(seed)]["kept_iteration"] = kept
+    result["seeds"] = {
+        str(seed): {"kept_iteration": kept, "score": 0.0}
+        for seed, kept in zip(SEEDS, (2, 1), strict=True)
+    }
     (path / "result.json").write_text(json.dumps(result))
     return path
 

@@ -68,11 +68,12 @@ def test_gail_gets_there_without_a_penalty(
 
 
 def test_cloning_gives_the_mean_and_what_it_misses_by(
-    point_mass: PointMass, point_mass_expert: Demonstrations
+    point_mass: PointMass, point_mass_expert: Demonstrations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("ailsrs_jax.trainers.gail.CLONING_RATE", 3e-3)
     noise = 0.1 * np.random.default_rng(0).normal(size=point_mass_expert.actions.shape)
     noisy = point_mass_expert.replace(actions=point_mass_expert.actions + np.float32(noise))
-    settings = GailSettings(**SMALL, behavior_cloning_start=True, behavior_cloning_steps=10_000)
+    settings = GailSettings(**SMALL, behavior_cloning_start=True, behavior_cloning_steps=1500)
     trainer = make_gail(point_mass, noisy, settings)
     actor = trainer.init(jax.random.key(0)).actor_critic.actor
     np.testing.assert_allclose(jnp.exp(actor.log_std), 0.1, rtol=0.15)

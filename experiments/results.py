@@ -99,6 +99,24 @@ Normalised returns of policies in worlds in which they were not trained, as mean
 the numbers that a policy consists of, and the time of one action, while the machine did other
 things, too. `python -m experiments.robustness DIRECTORY` measures them; Ant was left out."""
 
+PUBLISHED = """\
+Shares of the expert's return from one whole trajectory, in version 4 of the tasks. They are the
+figures of Chen et al., *Trust Region Reward Optimization and Proximal Inverse Reward Optimization
+Algorithm* (NeurIPS 2025, arXiv 2509.23135), who ran all these methods. We have run none of them.
+The policies are networks, and their methods and experts are others than ours. A whole trajectory
+holds twenty times the transitions of our condition of fifty transitions. So this is no comparison;
+it says how hard one demonstration is."""
+PUBLISHED_TASKS = ["Ant", "Humanoid", "Walker2d", "Hopper", "HalfCheetah"]
+PUBLISHED_SHARES = {
+    "GAIL": ["0.17", "0.09", "0.75", "0.97", "0.11"],
+    "DAC": ["0.16", "0.01", "0.00", "0.91", "0.79"],
+    "IQ-Learn": ["0.61", "0.34", "0.55", "0.94", "0.31"],
+    "HyPE": ["0.47", "0.13", "0.27", "0.71", "0.53"],
+    "CSIL": ["0.07", "–", "0.12", "0.00", "0.00"],
+    "ML-IRL": ["0.91", "1.01", "0.87", "0.91", "0.97"],
+    "PIRO": ["1.01", "1.08", "1.02", "0.93", "1.03"],
+}
+
 
 def main() -> None:
     """Run the command."""
@@ -178,6 +196,8 @@ def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
     for name, results in sweeps.items():
         parts += [f"## {name}", *_section(name, results, directory)]
     parts += ["## Changed worlds", CHANGED_WORLDS, robustness.table()]
+    rows = [[method, *shares] for method, shares in PUBLISHED_SHARES.items()]
+    parts += ["## Published figures", PUBLISHED, markdown_table(["", *PUBLISHED_TASKS], rows)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -2,11 +2,13 @@
 
 import csv
 import re
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pytest
 
 from ailsrs_jax.show.sweep_report import estimate, plus_minus
+from ailsrs_jax.sweeps.results import CellResult
 from ailsrs_jax.sweeps.statistics import (
     group_cells,
     interquartile_mean,
@@ -54,6 +56,18 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
     assert summary in readme
 
 
+def medians(cells: Iterable[CellResult], label: str, seeds: Mapping[str, range]) -> str:
+    """Three fields of a table: median and worst seed on HalfCheetah, Hopper and Swimmer."""
+    shown = []
+    for task in (CHEETAH, HOPPER, SWIMMER):
+        mine = [c for c in cells if (c.label, c.env_id) == (label, task) and c.done]
+        assert sorted(cell.seed for cell in mine) == list(seeds[task]), task
+        values = np.array([cell.normalized for cell in mine])
+        median, worst = np.round([np.median(values), values.min()], 2) + 0.0  # no minus zero
+        shown.append(f"{median:.2f}, {worst:.2f}")
+    return " | ".join(shown)
+
+
 def test_the_readme_agrees_with_the_results_from_little_data() -> None:
     sweeps, readme = results.read_all(results.RESULTS), README.read_text()
     rows = {  # their sweep, label and seeds, and which is the first seed on Swimmer
@@ -64,22 +78,30 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         "AILSRS, ten episodes without actions": ("little_data", "AILSRS, states alone", 3, 10),
     }
     for name, (sweep, label, number, first_on_swimmer) in rows.items():
-        shown = []
-        for task in (CHEETAH, HOPPER, SWIMMER):
-            mine = [c for c in sweeps[sweep].cells if (c.label, c.env_id) == (label, task)]
-            first = first_on_swimmer if task == SWIMMER else 0
-            seeds = sorted(cell.seed for cell in mine if cell.done)
-            assert seeds == list(range(first, first + number)), task
-            values = np.array([cell.normalized for cell in mine])
-            median, worst = np.round([np.median(values), values.min()], 2) + 0.0  # no minus zero
-            shown.append(f"{median:.2f}, {worst:.2f}")
-        assert f"| {name} | {number} | {' | '.join(shown)} |" in readme, name
+        seeds = dict.fromkeys((CHEETAH, HOPPER), range(number))
+        seeds[SWIMMER] = range(first_on_swimmer, first_on_swimmer + number)
+        row = medians(sweeps[sweep].cells, label, seeds)
+        assert f"| {name} | {number} | {row} |" in readme, name
     walker, clones = (
         plus_minus(group.values("normalized"), 2)
         for group in group_cells(sweeps["network"].cells)
         if group.env_id == "Walker2d-v5"
     )
     assert f"five seeds return {walker}, and their clones {clones}." in readme
+
+
+def test_the_readme_agrees_with_the_results_of_linear_experts() -> None:
+    cells, readme = results.read_all(results.RESULTS)["linear_experts"].cells, README.read_text()
+    names = {
+        "AILSRS, a linear policy": "AILSRS",
+        "GAIL, a network": "GAIL",
+        "a neural clone": "neural BC",
+        "a linear clone": "BC",
+    }
+    seeds = dict.fromkeys((CHEETAH, HOPPER, SWIMMER), range(5))
+    for name, label in names.items():
+        row = medians(cells, f"{label}, 50 transitions", seeds)
+        assert f"| {name} | {row} |" in readme, name
 
 
 def test_the_readme_compares_with_gail_as_the_results_do() -> None:

@@ -6,7 +6,8 @@ ARGS ?=
 .PHONY: train test test-matrix lint docs peer clean
 
 train: $(VENV)/package
-	$(VENV)/bin/ailsrs train swimmer $(ARGS)
+	$(VENV)/bin/ailsrs train halfcheetah --demonstrations expert:linear \
+		--num-trajectories 1 --subsample 20 --iterations 14 $(ARGS)
 
 test: $(VENV)/installed
 	$(VENV)/bin/pytest $(ARGS)

@@ -151,12 +151,12 @@ def train(
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
     learns_from, expert_return = "the environment's reward", None
-    if planned.data.expert_returns is not None:
-        expert_return = float(np.mean(planned.data.expert_returns))
-        learns_from = (
-            f"{config.num_trajectories} demonstrations {config.source}, return {expert_return:.0f}"
-        )
-        learns_from += "" if planned.data.infer is None else ", actions inferred first"
+    data = planned.data
+    if data.source is not None and data.expert_returns is not None:
+        expert_return = float(np.mean(data.expert_returns))
+        given = data.source.described(data.num_trajectories, data.subsample)
+        learns_from = f"{given}, return {expert_return:.0f}"
+        learns_from += "" if data.infer is None else ", actions inferred first"
     named = " ".join(map(str, config.seeds))
     terminal.line(
         f"{find_algorithm(algorithm).title} on {config.env_id} · {learns_from} · preset {preset} · "

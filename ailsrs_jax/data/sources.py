@@ -58,6 +58,11 @@ class Source:
             told += f" ({self.num_left_out} truncated {episodes} left out)"
         return f"{told}, states alone" if self.states_only else told
 
+    def described(self, number: int | None, every: int | None) -> str:
+        """Describe, for people, ``number`` demonstrations with every ``every``-th step."""
+        steps = "" if every in (None, 1) else f", every {every}th step"
+        return f"{number} demonstration{'s' * (number != 1)} {self}{steps}"
+
 
 def parse_source(fields: Any, where: str) -> Source | None:
     """Return the source that the file ``where`` records; None if it records none.

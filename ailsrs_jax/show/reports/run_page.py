@@ -50,8 +50,8 @@ def run_page(
     ends = dict(zip(shown_seeds, ("best", "worst")))
     colors = colors_of(map(seed_name, config["seeds"]))
     learns_from = "the environment's reward"
-    if run.imitates:
-        learns_from = f"{config['num_trajectories']} demonstrations {run.source}"
+    if run.source is not None:
+        learns_from = run.source.described(config["num_trajectories"], config["subsample"])
     parts: list[Part | None] = [
         _seed_table(run, evaluations, inspections, episodes, problem),
         _video(run, policies, ends, watch) if video else None,

@@ -38,7 +38,7 @@ def plot_training_curve(directory: Path) -> Path:
     figure = draw_curves(run)
     title = f"{run.title} on {run.config['env_id']}"
     if number := run.config["num_trajectories"]:
-        title += f" from {number} demonstrations"
+        title += f" from {number} demonstration{'s' * (number != 1)}"
     figure.suptitle(title)
     path = directory / "training_curve.png"
     write_atomically(path, encoded(figure, "png", dpi=130))

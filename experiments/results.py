@@ -124,10 +124,10 @@ PAPER_CLONES = {CHEETAH: 1000.0, HOPPER: 1200.0, SWIMMER: 352.95}  # of ten demo
 PUBLISHED = """\
 Shares of the expert's return from one whole trajectory, in version 4 of the tasks. They are the
 figures of Chen et al., *Trust Region Reward Optimization and Proximal Inverse Reward Optimization
-Algorithm* (NeurIPS 2025, arXiv 2509.23135), who ran all these methods; we did not.
-The policies are networks, and their methods and experts are others than ours. A whole trajectory
-holds twenty times the transitions of our condition of fifty transitions. So this is no comparison;
-it says how hard one demonstration is."""
+Algorithm* (NeurIPS 2025, arXiv 2509.23135). Chen et al. made all these runs, also those of GAIL;
+none is ours. Their policies are networks, and they used other experts. Their whole trajectory can
+have twenty times as many steps as our fifty transitions. So the table is no comparison. It shows
+how hard it is to learn from one demonstration."""
 PUBLISHED_TASKS = ["Ant", "Humanoid", "Walker2d", "Hopper", "HalfCheetah"]
 PUBLISHED_SHARES = {
     "GAIL": ["0.17", "0.09", "0.75", "0.97", "0.11"],

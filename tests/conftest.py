@@ -42,7 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_device() -> Iterator[None]:
-    """Runs share one device, because programs for several compile slowly; see ``many_devices``."""
+    """Each run uses one device, because programs for several compile slowly."""
 
     def choose(env: Env, batch_size: int | None = None) -> Simulator:
         return dataclasses.replace(devices.choose_simulator(env, batch_size), mesh=None)
@@ -55,7 +55,7 @@ def _one_device() -> Iterator[None]:
 
 @pytest.fixture
 def many_devices(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs share all devices, as they do outside of tests."""
+    """Each run uses all devices, as outside of tests; training an expert still uses one."""
     monkeypatch.setattr("ailsrs_jax.runs.plan.choose_simulator", devices.choose_simulator)
 
 

@@ -41,7 +41,7 @@ NO_OBJECTS = [b"", b"[]", b"9" * 5000, b" " * 2**21, b"\xff{}", b'{"a": "\\ud800
 
 
 @pytest.mark.parametrize("content", [*NO_OBJECTS, b"[" * 10**5, b'{"a": ' * 10**5])
-def test_anything_but_a_json_object_is_refused_in_one_line(content: bytes, tmp_path: Path) -> None:
+def test_anything_but_a_json_object_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "file.json").write_bytes(content)
     with pytest.raises(UserError, match="is not a greeting: "):
         files.read_json_object(tmp_path / "file.json", "a greeting")

@@ -180,7 +180,7 @@ def _table(found: "Inspection", env_id: str) -> Table:
         table.add_row(name, escape(text))
 
     expert = facts["return_mean"]
-    every = f", every {facts['every']}th step of the episodes" if facts["every"] > 1 else ""
+    every = f", one step in {facts['every']}" if facts["every"] > 1 else ""
     row("demonstrations", f"{facts['episodes']} episodes of {env_id}")
     row("transitions", f"{facts['transitions']}{every}")
     row("length", f"{facts['shortest']} to {facts['longest']} steps")

@@ -59,8 +59,8 @@ class Source:
         return f"{told}, states alone" if self.states_only else told
 
     def described(self, number: int | None, every: int | None) -> str:
-        """Describe, for people, ``number`` demonstrations with every ``every``-th step."""
-        steps = "" if every in (None, 1) else f", every {every}th step"
+        """Describe, for people, ``number`` demonstrations with one step in ``every``."""
+        steps = "" if every in (None, 1) else f", one step in {every}"
         return f"{number} demonstration{'s' * (number != 1)} {self}{steps}"
 
 

@@ -142,7 +142,8 @@ def draw_training_curves(
                 (thick,) = axes.plot(curve.iterations, smoothed(curve.returns), color=color)
                 label = f"{number} seed{'s' * (number > 1)}"
                 thick.set(linestyle=line, linewidth=1.6, label=label)
-            given = f" ({group.num_trajectories} demonstrations)" if group.num_trajectories else ""
+            n = group.num_trajectories
+            given = f" ({n} demonstration{'s' * (n != 1)})" if n else ""
             axes.set(title=task, xlabel=f"iteration{given}", ylabel="return")
         add_legend(figure, axes_of.values(), title=f"{name} · thin raw, thick smoothed")
         yield f"figure_3_{slug}", figure

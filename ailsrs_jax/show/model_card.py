@@ -113,7 +113,7 @@ def _demonstrations(run: SavedRun) -> str:
     if source is None:
         return "none: it learnt from the environment's reward"
     described = str(source) if source.kind in ("expert", "memory") else f"of {source}"
-    steps = f", every {every}th step" if every != 1 else ""
+    steps = f", one step in {every}" if every != 1 else ""
     sha256 = run.config["demonstrations_sha256"]
     return f"{run.config['num_trajectories']} {described}{steps}; SHA-256 {sha256}"
 

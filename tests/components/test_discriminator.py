@@ -21,6 +21,8 @@ def test_loss_is_that_of_each_pair() -> None:
     policy, expert = logit(np.array([0.5, 0.2])), logit(np.array([0.9, 0.3]))
     expected = [0.5 * 0.25 + 0.5 * 0.01, 0.5 * 0.04 + 0.5 * 0.49]
     np.testing.assert_allclose(adversary.least_squares_loss(policy, expert), expected, rtol=1e-5)
+    crossed = -np.log([0.9, 0.3]) - np.log1p(-np.array([0.5, 0.2]))
+    np.testing.assert_allclose(adversary.cross_entropy_loss(policy, expert), crossed, rtol=1e-5)
 
 
 @pytest.mark.parametrize("score", [1e-4, 0.3, 0.5, 0.999])

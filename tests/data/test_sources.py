@@ -68,6 +68,14 @@ def test_what_is_nowhere(tmp_path: Path) -> None:
             open_source(source, "Swimmer-v5")
 
 
+def test_demonstrations_are_described() -> None:
+    linear = "of the expert that ships with the package (expert:linear)"
+    assert (
+        Source("expert", "linear").described(1, 20) == f"1 demonstration {linear}, one step in 20"
+    )
+    assert Source("file", "mine.npz").described(2, 1) == "2 demonstrations mine.npz"
+
+
 def test_the_argument_names_the_source() -> None:
     assert Source("expert").argument is None
     assert Source("expert", "paper").argument == "expert:paper"

@@ -132,7 +132,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("message", "env"), REFUSED.items(), ids=REFUSED)
-def test_refused_in_one_line(message: str, env: Any) -> None:
+def test_what_is_no_environment_is_refused(message: str, env: Any) -> None:
     with pytest.raises(UserError) as caught:
         require_env(env)
     assert message in str(caught.value)

@@ -135,7 +135,7 @@ REFUSED = {
 
 @pytest.mark.usefixtures("own_tasks")
 @pytest.mark.parametrize(("name", "message"), REFUSED.items())
-def test_wrong_names_are_refused_in_one_line(name: str, message: str) -> None:
+def test_wrong_names_are_refused(name: str, message: str) -> None:
     with pytest.raises(UserError) as caught:
         open_env(name)
     assert message in str(caught.value)

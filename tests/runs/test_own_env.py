@@ -73,7 +73,7 @@ def test_evaluation_has_a_time_limit_everywhere() -> None:
         ail.evaluate(still, 1, episode_length=0)
 
 
-def test_mistakes_are_one_line(point_mass_expert: ail.Demonstrations) -> None:
+def test_mistakes_are_named(point_mass_expert: ail.Demonstrations) -> None:
     env, policy = PointMass(), spring()
     calls = {
         "pass the environment itself as env": lambda: ail.evaluate(policy),

@@ -96,7 +96,7 @@ def test_a_run_is_published(in_tmp_path: Path, monkeypatch, capsys) -> None:
         f"| return | {evaluation} over 2 episodes (in Gymnasium, at most 1000 steps, seed 0) |",
         "| algorithm | AILSRS, preset tuned |",
         "| seed | 3 |",
-        f"| demonstrations | 4 of my demos.npz, every 20th step; SHA-256 {'0' * 64} |",
+        f"| demonstrations | 4 of my demos.npz, one step in 20; SHA-256 {'0' * 64} |",
         "| policy | linear, 8 observations, 2 actions |",
         f"jax {config['versions']['jax']}",
     ):
@@ -179,7 +179,7 @@ def test_what_was_handed_in_from_python_has_no_command(in_tmp_path: Path) -> Non
     ail.export("run", "out", num_episodes=1)
     card = Path("out/README.md").read_text()
     assert "were handed in from Python" in card
-    assert "4 handed in from Python, every 20th step; SHA-256 0000" in card
+    assert "4 handed in from Python, one step in 20; SHA-256 0000" in card
     assert "```sh" not in card
 
 
@@ -229,7 +229,7 @@ def test_names_are_no_markup(in_tmp_path: Path) -> None:
             "versions": {"<i>": "|"},
         }
     )
-    assert r"of a\|\`\<b\>\*[x\](y).npz, every 20th" in card
+    assert r"of a\|\`\<b\>\*[x\](y).npz, one step in 20" in card
     assert r"| versions | \<i\> \| |" in card
 
 
@@ -247,7 +247,7 @@ def test_a_policy_that_nobody_knows_of(in_tmp_path: Path, monkeypatch) -> None:
     np.testing.assert_allclose(names["action"], expected, rtol=1e-12)
 
 
-def test_mistakes_are_one_line_and_nothing_is_written(in_tmp_path: Path, monkeypatch) -> None:
+def test_mistakes_are_named_and_nothing_is_written(in_tmp_path: Path, monkeypatch) -> None:
     for seed in (0, 1):
         spring().save(f"run/seed_{seed}/policy.npz")
     Path("full").mkdir()

@@ -19,10 +19,11 @@ from PIL import Image
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.policies import expert_path, load_policy
+from ailsrs_jax.data.sources import Source
 from ailsrs_jax.show.episodes import renderer as offscreen
 from ailsrs_jax.show.episodes.frames import GAP, side_by_side
 from ailsrs_jax.show.episodes.replay import Replay, replay
-from ailsrs_jax.show.video import Animation, encode
+from ailsrs_jax.show.video import Animation, encode, shipped_expert
 from tests.point_mass import PointMass, linear_policy
 
 SLIDER = """
@@ -99,6 +100,13 @@ def test_ones_own_task_ends_where_it_ends(slider: Slider) -> None:
     mass = slider.physics.model.body_mass.sum()
     velocity = (moved[1] - 0.5 * time[1] ** 2 / mass) / time[1]
     np.testing.assert_allclose(moved, velocity * time + 0.5 * time**2 / mass, atol=2e-3)
+
+
+def test_beside_a_policy_is_the_expert_that_it_imitated() -> None:
+    linear = shipped_expert("Hopper-v5", None, Source("expert", "linear"))
+    assert isinstance(linear, ail.SavedLinearPolicy)
+    for imitated in ((), (Source("file", "linear"),), (Source("expert"),)):
+        assert isinstance(shipped_expert("Hopper-v5", *imitated), ail.SavedMlpPolicy)
 
 
 def test_what_mujoco_does_not_simulate_is_refused() -> None:

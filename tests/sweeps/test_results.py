@@ -49,7 +49,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         ("timings.csv", "60.0", "soon", "timings.csv, row 2: train_seconds is 'soon', not a nu"),
     ],
 )
-def test_a_wrong_table_is_one_clear_line(
+def test_a_wrong_table_is_refused(
     tmp_path: Path, file: str, old: str, new: str, message: str
 ) -> None:
     write_sweep(tmp_path, [row(0.95), row(0.9, seed=1)])

@@ -58,9 +58,8 @@ class Page:
     parts: Sequence[Part]
     note: str = ""  # on the tables
     commands: Sequence[str]
-    settings: Sequence[
-        tuple[str, str, bool]
-    ] = ()  # name, value, whether it differs from the preset
+    # name, value, whether it differs from the preset
+    settings: Sequence[tuple[str, str, bool]] = ()
     versions: Sequence[tuple[str, str]] = ()
 
     def html(self) -> str:

@@ -98,7 +98,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("message", WRONG)
-def test_mistakes_are_reported_in_one_line(message: str, tmp_path: Path) -> None:
+def test_mistakes_are_named(message: str, tmp_path: Path) -> None:
     refused(write(tmp_path / "d", *WRONG[message]), message)
 
 

@@ -202,7 +202,7 @@ def write_without_environment() -> None:
 
 
 @pytest.mark.parametrize("message", WRONG)
-def test_mistakes_are_reported_in_one_line(message: str) -> None:
+def test_mistakes_are_named(message: str) -> None:
     WRONG[message]()
     with pytest.raises(UserError) as caught:
         load_minari("hopper/test-v0", "Hopper-v5")
@@ -212,7 +212,7 @@ def test_mistakes_are_reported_in_one_line(message: str) -> None:
 
 @pytest.mark.parametrize("name", ["main_data.hdf5", "metadata.json"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.99])
-def test_damage_is_reported_in_one_line(name: str, share: float, datasets: Path) -> None:
+def test_damage_is_refused(name: str, share: float, datasets: Path) -> None:
     write(episode(), episode(4, terminated=True))
     (path,) = datasets.rglob(name)
     content = path.read_bytes()

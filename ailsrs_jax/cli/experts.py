@@ -67,8 +67,9 @@ def demonstrate(
     save_recording(recording, output)
     returns, lengths = recording.demonstrations.returns, recording.demonstrations.lengths
     mean, std = float(returns.mean()), float(returns.std())
+    episodes = "trajectory" if num_trajectories == 1 else "trajectories"
     terminal.line(
-        f"{num_trajectories} trajectories of {env_id}, return {mean:.0f} ± {std:.0f}, in {output}"
+        f"{num_trajectories} {episodes} of {env_id}, return {mean:.0f} ± {std:.0f}, in {output}"
     )
     terminal.json(
         {

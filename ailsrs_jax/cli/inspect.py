@@ -181,7 +181,7 @@ def _table(found: "Inspection", env_id: str) -> Table:
 
     expert = facts["return_mean"]
     every = f", one step in {facts['every']}" if facts["every"] > 1 else ""
-    row("demonstrations", f"{facts['episodes']} episodes of {env_id}")
+    row("demonstrations", f"{facts['episodes']} episode{'s' * (facts['episodes'] > 1)} of {env_id}")
     row("transitions", f"{facts['transitions']}{every}")
     row("length", f"{facts['shortest']} to {facts['longest']} steps")
     row("return", f"{expert:.0f} ± {facts['return_std']:.0f}")

@@ -175,14 +175,13 @@ def _linearity(demonstrations: Demonstrations) -> dict[str, float]:
     held_out = alive & ~fitted
     affine = affine_regression(observations, actions, fitted)
     plain = jnp.pad(ridge_regression(observations, actions, fitted), [(0, 0), (0, 1)])
-    mean = jnp.mean(actions, axis=(0, 1), where=held_out[..., None])
+    # Of all steps: in the last ones alone, an expert that stands still does not vary.
+    variance = jnp.var(actions, axis=(0, 1), where=alive[..., None]).mean()
 
     def r_squared(weights: jax.Array) -> float:
-        predicted = observations @ weights[:, :-1].T + weights[:, -1]
-        left, total = (
-            jnp.sum(jnp.square(actions - x), where=held_out[..., None]) for x in (predicted, mean)
-        )
-        return float(1.0 - left / jnp.maximum(total, 1e-12))
+        errors = actions - observations @ weights[:, :-1].T - weights[:, -1]
+        left = jnp.mean(jnp.square(errors), where=held_out[..., None])
+        return float(1.0 - left / jnp.maximum(variance, 1e-12))
 
     return {"r_squared": r_squared(affine), "r_squared_without_intercept": r_squared(plain)}
 

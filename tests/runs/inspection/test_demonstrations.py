@@ -7,7 +7,11 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.runs.inspection.demonstrations import compare_steps, inspect_demonstrations
+from ailsrs_jax.runs.inspection.demonstrations import (
+    _linearity,
+    compare_steps,
+    inspect_demonstrations,
+)
 
 NUM_STEPS = 150
 
@@ -83,6 +87,14 @@ def test_entries_that_hold_nothing(env: Env, demonstrations: Demonstrations) -> 
     assert told[0] == "entries of the observation are constant: 3, 7"
     assert told[1] in ("entries repeat others: 4", "entries repeat others: 5")
     assert told[2].startswith("the standard deviation of entries is far from 1: 9, from")
+
+
+def test_an_expert_that_stands_still_in_the_end_is_no_division_by_zero() -> None:
+    observations = np.random.default_rng(0).normal(size=(1, 100, 3)).astype(np.float32)
+    actions = observations[..., :1].copy()
+    actions[:, 80:] = 0.5
+    resting = Demonstrations(observations, actions, np.array([100]), np.ones(1), "Task")
+    assert -2.0 < _linearity(resting)["r_squared"] < 0.5
 
 
 def test_states_alone_and_clones(

@@ -22,7 +22,7 @@ from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, read_table, share_of
+from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, Curve, read_table, share_of
 from ailsrs_jax.trainers.parts.settings import as_text
 
 ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
@@ -82,9 +82,9 @@ def _over_training(
         weights = np.diff(steps, prepend=0)[measured]
         if weights.any():
             row["mean_return_over_training"] = float(returns[measured] @ weights / weights.sum())
-        reached = np.flatnonzero(returns >= (np.inf if expert is None else share_of(expert, 0.9)))
-        if len(reached):
-            row["steps_to_90"] = int(steps[reached[0]])
+        if expert is not None:
+            reached = Curve(metrics["iteration"], steps, returns).steps_to(share_of(expert, 0.9))
+            row["steps_to_90"] = int(reached) if np.isfinite(reached) else None
     return row
 
 

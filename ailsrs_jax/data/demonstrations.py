@@ -141,7 +141,7 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
         steps["actions"] = actions
     for name, array in (("lengths", lengths), ("returns", returns)):
         require(array.shape == (num_episodes,), f"{name} are {array.shape}, not ({num_episodes},)")
-    require(np.issubdtype(lengths.dtype, np.integer), "lengths are not integers")
+    require(lengths.dtype.kind in "iu", "lengths are not integers")
     require(
         bool(np.all((lengths >= 1) & (lengths <= num_steps))),
         f"lengths are not all between 1 and {num_steps}",
@@ -150,7 +150,7 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
     require_name(str(env_id), source)
     stride = np.asarray(fields.get("stride", 1))
     require(
-        stride.ndim == 0 and np.issubdtype(stride.dtype, np.integer) and int(stride) >= 1,
+        stride.ndim == 0 and stride.dtype.kind in "iu" and int(stride) >= 1,
         "stride is not a single positive integer",
     )
     require(returns.dtype.kind in "iuf", "returns are not numbers")

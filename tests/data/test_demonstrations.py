@@ -60,6 +60,8 @@ WRONG = {
     "env_id is not a single string": {"env_id": np.array([1, 2])},
     "stride is not a single positive": {"stride": np.array(0)},
     "stride is not a single positive integer": {"stride": np.array(1.5)},
+    "stride is not a single": {"stride": np.array("NaT", "timedelta64[Y]")},
+    "lengths are not": {"lengths": np.ones(3, "timedelta64[s]")},
     "pickled objects": {"observations": np.array([[object()]])},
 }
 

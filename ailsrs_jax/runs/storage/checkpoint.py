@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -108,9 +109,11 @@ class Checkpoints:
             state=ocp.args.StandardSave(packed), about=ocp.args.JsonSave(self._about)
         )
         with self._writing():
-            # On a full disk the threads of Orbax would print tracebacks.
+            # Where there is no room, the threads of Orbax would print tracebacks.
             if shutil.disk_usage(self._directory).free < size + OVERHEAD:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            with tempfile.TemporaryFile(dir=self._directory) as file:
+                file.truncate(size + OVERHEAD)  # raises if a file may not be as large
             self._manager.save(num_done, args=args)
         self._newest = num_done
         self._pending = self._thread.submit(self._seal, num_done)

@@ -16,6 +16,7 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.storage import checkpoint
 from ailsrs_jax.runs.storage.checkpoint import HASHES, Checkpoints
 
 
@@ -161,11 +162,17 @@ def test_numbers_tell_the_newest_whatever_the_clock_says(tmp_path: Path, monkeyp
 
 @pytest.fixture
 def small_files() -> Any:
-    """Limit files to 2 kB, so that writing fails in the middle of one as on a full disk."""
+    """Limit files to 2 kB."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
     yield
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.fixture
+def unforeseen(small_files, monkeypatch) -> None:
+    """Writing fails in the middle of a file, as on a disk that others fill meanwhile."""
+    monkeypatch.setattr(checkpoint, "OVERHEAD", -80_000)  # the size of the arrays
 
 
 def write_noise(directory: Path, *values: int, then: BaseException | None = None) -> None:
@@ -180,21 +187,28 @@ def write_noise(directory: Path, *values: int, then: BaseException | None = None
 @pytest.mark.parametrize(
     "values", [(1,), (1, 2)]
 )  # the error is noticed at the end, or at the next save
-def test_what_cannot_be_written_is_told(small_files, values: tuple[int, ...], tmp_path) -> None:
+def test_what_cannot_be_written_is_told(unforeseen, values: tuple[int, ...], tmp_path) -> None:
     with pytest.raises(UserError, match=r"cannot write .*: File too large"):
         write_noise(tmp_path, *values)
 
 
-def test_an_error_on_its_way_is_not_hidden_by_another(small_files, tmp_path: Path, caplog) -> None:
+def test_an_error_on_its_way_is_not_hidden_by_another(unforeseen, tmp_path: Path, caplog) -> None:
     with pytest.raises(KeyError, match="mine"):
         write_noise(tmp_path, 1, then=KeyError("mine"))
     (record,) = caplog.records
     assert record.getMessage() == f"cannot write {tmp_path}: File too large"
 
 
-def test_who_interrupts_is_told_that_it_could_not_be_saved(small_files, tmp_path: Path) -> None:
+def test_who_interrupts_is_told_that_it_could_not_be_saved(unforeseen, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"cannot write .*: File too large"):
         write_noise(tmp_path, 1, then=KeyboardInterrupt())
+
+
+def test_a_limit_of_files_is_foreseen(small_files, tmp_path: Path, capfd) -> None:
+    with pytest.raises(UserError, match=r"cannot write .*: File too large"):
+        write_noise(tmp_path, 1)
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().err == ""
 
 
 def test_what_no_disk_holds_is_not_begun(tmp_path: Path, capfd) -> None:

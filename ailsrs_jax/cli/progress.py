@@ -1,6 +1,7 @@
 """The progress of runs and sweeps: live bars on a terminal, plain lines in a log."""
 
 import dataclasses
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
@@ -46,7 +47,7 @@ class RunProgress:
     ) -> None:
         """Show the returns of ``seeds``, and how many per cent of ``expert_return`` they are."""
         self._console, self._seeds, self._expert = console, seeds, expert_return
-        self._returns: list[np.ndarray] = []  # (seeds,) of each iteration, since the start
+        self._returns = deque[np.ndarray](maxlen=WIDTH_OF_A_COURSE)  # (seeds,) of each iteration
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -86,7 +87,7 @@ class RunProgress:
             self._console.print(f"{done}/{total}  {text}", soft_wrap=True)
 
     def _table(self, report: IterationReport) -> Table:
-        courses = np.array(self._returns[-WIDTH_OF_A_COURSE:]).T
+        courses = np.array(self._returns).T
         distances = report.metrics.get("expert_distance")
         table = Table(box=None, padding=(0, 2, 0, 0))
         for name in ("", "return", "of the expert", "distance to it", "returns so far"):

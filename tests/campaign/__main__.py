@@ -22,7 +22,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.campaign.program import start
-from tests.campaign.trials import TRAIN, TRIALS
+from tests.campaign.trials import LONG, TRIALS
 
 
 def campaign(directory: Path, hours: float, first: int) -> int:
@@ -74,8 +74,7 @@ def long_run(directory: Path, hours: float) -> None:
     """Train, and write a row of ``resources.csv`` every minute."""
     place = directory / "long"
     place.mkdir(parents=True, exist_ok=True)
-    words = [*shlex.split(TRAIN), "--iterations", "100000000", "--output", "run", "--quiet"]
-    words.remove("num_iterations=200")
+    words = [*shlex.split(LONG), "--output", "run", "--quiet"]
     process, began = start(words, place), time.time()
     path = Path(f"/proc/{process.pid}")
     with (directory / "resources.csv").open("w", newline="") as file:

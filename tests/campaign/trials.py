@@ -23,10 +23,11 @@ from tests.fuzz.readers import READERS
 Counts = Counter[str]
 SEARCH = "num_directions=4 num_top_directions=2 num_evaluation_episodes=2"
 POINT_MASS = "tests.point_mass:PointMass"
-TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=200"
+TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=1500"
+LONG = "train hopper --demonstrations expert:linear --num-trajectories 1 --iterations 100000000"
 WORKERS = (
-    "train gymnasium:Pendulum-v1 --algorithm ars --workers 2 "
-    f"--set {SEARCH} episode_length=50 num_iterations=150"
+    "train gymnasium:Pendulum-v1 --algorithm ars "
+    f"--set {SEARCH} episode_length=50 num_iterations=1000"
 )
 EXPLODING = "tests.exploding:ExplodingPointMass"
 SPEC = f"""
@@ -35,13 +36,13 @@ env = "{POINT_MASS}"
 algorithm = "ars"
 seeds = [0, 1]
 [settings]
-num_iterations = 30
+num_iterations = 600
 episode_length = 20
 num_directions = [4, 6]
 num_top_directions = 2
 [[grid]]
 """
-KILLS = 4  # of one run
+KILLS = 20  # of one run, at most
 VOCABULARY = shlex.split(
     "train evaluate demonstrate expert sweep merge benchmark render report export inspect --help "
     "hopper hoper swimmer gymnasium:Nothing-v0 nowhere:Task : --set a=1 num_iterations=1 "
@@ -65,7 +66,7 @@ def kill_train(rng: random.Random, directory: Path) -> Counts:
         resume = ["--resume"] if (output / "config.json").exists() else []
         return [*shlex.split(TRAIN), "--output", "run", *resume]
 
-    killed = kill_until_finished(words, directory, rng, 10, KILLS)
+    killed = kill_until_finished(words, directory, rng, 8, KILLS)
     assert files(output) == files(baseline)
     return Counter(kills_of_train=killed)
 
@@ -83,23 +84,41 @@ def kill_sweep(rng: random.Random, directory: Path) -> Counts:
     def tables(place: Path) -> list[bytes]:
         return contents(*(place / "sweep" / name for name in ("results.csv", "curves.csv")))
 
-    killed = kill_until_finished(lambda: words, directory, rng, 12, KILLS)
+    killed = kill_until_finished(lambda: words, directory, rng, 10, KILLS)
     assert tables(directory) == tables(baseline)
     return Counter(kills_of_sweep=killed)
 
 
 def kill_workers(rng: random.Random, directory: Path) -> Counts:
     """Kill worker processes of a run, which goes on."""
+    return Counter(kills_of_workers=_kill_helpers(rng, directory, "2", "", 1.0))
+
+
+def kill_actors(rng: random.Random, directory: Path) -> Counts:
+    """Kill actors on Ray; the run goes on, and its numbers are those of local workers."""
+    return Counter(kills_of_actors=_kill_helpers(rng, directory, "ray:2", "ray::_Actor", 3.0))
+
+
+def _kill_helpers(
+    rng: random.Random, directory: Path, workers: str, name: str, pause: float
+) -> int:
+    """Kill processes of a run whose command begins with ``name``; return how many.
+
+    They are ``pause`` to three times ``pause`` seconds apart, because a worker that dies three
+    times while it starts ends the run.
+    """
     baseline = _baseline(directory, WORKERS)
-    process = start([*shlex.split(WORKERS), "--output", "run"], directory)
+    words = [*shlex.split(WORKERS), "--workers", workers, "--output", "run"]
+    process = start(words, directory)
     number, over = 0, threading.Event()
 
     def kill() -> None:
         nonlocal number
-        while not over.wait(rng.uniform(1.0, 3.0)):  # three deaths at the start end a run
-            if (directory / "run" / "metrics.csv").exists() and (mine := _children(process.pid)):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(rng.choice(mine), signal.SIGKILL)
+        while not over.wait(rng.uniform(pause, 3 * pause)):
+            if (directory / "run" / "metrics.csv").exists():
+                found = [each for each in _descendants(process.pid) if _command(each, name)]
+                with contextlib.suppress(ProcessLookupError, IndexError):
+                    os.kill(rng.choice(found), signal.SIGKILL)
                     number += 1
 
     killer = threading.Thread(target=kill)
@@ -113,12 +132,12 @@ def kill_workers(rng: random.Random, directory: Path) -> Counts:
     assert contents(*(directory / "run" / x for x in names)) == contents(
         *(baseline / x for x in names)
     )
-    return Counter(kills_of_workers=number)
+    return number
 
 
 def fuzz(rng: random.Random, directory: Path) -> Counts:
     """Damaged files of one reader: also hostile configurations and sweep specs."""
-    name, scale = rng.choice(list(READERS)), 4
+    name, scale = rng.choice(list(READERS)), 500
     test = f"tests/test_fuzz.py::test_damaged_files_give_a_value_or_one_line[{name}]"
     options = [f"--hypothesis-seed={rng.randrange(2**31)}", f"--basetemp={directory / 'fuzz'}"]
     command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "--timeout=3600", *options, test]
@@ -169,7 +188,10 @@ def divergence(rng: random.Random, directory: Path) -> Counts:
 
 TRIALS: dict[str, Callable[[random.Random, Path], Counts]] = {
     each.__name__: each
-    for each in (kill_train, kill_sweep, kill_workers, fuzz, command_line, full_disk, divergence)
+    for each in (
+        *(kill_train, kill_sweep, kill_workers, kill_actors),
+        *(fuzz, command_line, full_disk, divergence),
+    )
 }
 
 
@@ -183,10 +205,18 @@ def _baseline(directory: Path, command: str) -> Path:
     return place / "run"
 
 
-def _children(parent: int) -> list[int]:
-    """Processes that ``parent`` has started."""
-    path, children = Path(f"/proc/{parent}/task"), []
-    for thread in path.glob("*/children"):
+def _descendants(parent: int) -> list[int]:
+    """Processes that ``parent`` and its descendants have started."""
+    found = []
+    for thread in Path(f"/proc/{parent}/task").glob("*/children"):
         with contextlib.suppress(OSError):
-            children += map(int, thread.read_text().split())
-    return children
+            for child in map(int, thread.read_text().split()):
+                found += [child, *_descendants(child)]
+    return found
+
+
+def _command(process: int, name: str) -> bool:
+    """Whether the command of the process begins with ``name``."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_text().startswith(name)
+    return False

@@ -11,19 +11,30 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
+# Strategies that are made once; Hypothesis takes longer to make one than to draw from it.
+LENGTHS = st.sampled_from((1, 1, 2, 4, 8, 64, 1000, None))  # of a piece; None: as long as the file
+SHORT = st.binary(max_size=8)
+TYPES = (
+    st_numpy.scalar_dtypes()
+    | st_numpy.unicode_string_dtypes(max_len=20)
+    | st_numpy.byte_string_dtypes(max_len=20)
+)
+SHAPES = st_numpy.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=3)
+
 
 @st.composite
 def damaged_bytes(draw: st.DrawFn, content: bytes) -> bytes:
     """Flip bits, overwrite, insert, delete, repeat and cut off."""
     data = bytearray(content)
-    for _ in range(draw(st.sampled_from([1, 1, 2, 4]))):
+    for _ in range(draw(st.sampled_from((1, 1, 2, 4)))):
         at = draw(st.integers(0, max(len(data) - 1, 0)))
-        length = draw(st.sampled_from([1, 1, 2, 4, 8, 64, 1000, len(data)]))
+        length = draw(LENGTHS) or len(data)
         piece = data[at : at + length]
         flipped = bytes(byte ^ 1 << draw(st.integers(0, 7)) for byte in piece[:1]) + piece[1:]
         known = [b"", flipped, flipped, bytes(len(piece)), b"\xff" * len(piece), piece * 2]
         known += [bytes(reversed(piece)), piece[:8] * 100]
-        data[at : at + length] = draw(st.sampled_from(known) | st.binary(max_size=8))
+        which = draw(st.integers(0, len(known)))
+        data[at : at + length] = known[which] if which < len(known) else draw(SHORT)
     return bytes(data)
 
 
@@ -85,7 +96,7 @@ HUGE_JSON = [b"[" * 10**5, b'{"a":' * 10**5, b"9" * 10**5, b" " * 2**21, b""]
 @st.composite
 def changed_json(draw: st.DrawFn, tree: Any) -> bytes:
     """The bytes of a changed JSON value, which are sometimes damaged as well."""
-    for _ in range(draw(st.sampled_from([1, 1, 2, 5]))):
+    for _ in range(draw(st.sampled_from((1, 1, 2, 5)))):
         tree = draw(changed_tree(tree))
     try:
         content = json.dumps(tree).encode()
@@ -104,7 +115,7 @@ def changed_json(draw: st.DrawFn, tree: Any) -> bytes:
 def changed_csv(draw: st.DrawFn, rows: list[list[Any]]) -> bytes:
     """The bytes of a table with odd cells and with missing, repeated and short rows."""
     rows = [list(row) for row in rows]
-    for _ in range(draw(st.sampled_from([0, 1, 1, 3]))):
+    for _ in range(draw(st.sampled_from((0, 1, 1, 3)))):
         at = draw(st.integers(0, len(rows) - 1))
         match draw(st.integers(0, 4)):
             case 0 if len(rows) > 1:
@@ -143,13 +154,12 @@ def changed_array(draw: st.DrawFn, array: np.ndarray) -> np.ndarray:
     """An array of another type, shape or value."""
     if array.dtype.kind in "fi" and draw(st.booleans()):
         array = array.copy()
-        value = draw(st.sampled_from([np.nan, np.inf, -np.inf, 1e38, 1e-45, 0, -1, 2**62]))
+        value = draw(st.sampled_from((np.nan, np.inf, -np.inf, 1e38, 1e-45, 0, -1, 2**62)))
         with np.errstate(all="ignore"):
-            array.reshape(-1)[: draw(st.sampled_from([1, 10**9]))] = np.array(value).astype(
+            array.reshape(-1)[: draw(st.sampled_from((1, 10**9)))] = np.array(value).astype(
                 array.dtype
             )
         return array
-    texts = st_numpy.unicode_string_dtypes(max_len=20) | st_numpy.byte_string_dtypes(max_len=20)
-    shapes = st.sampled_from([array.shape, (0, *array.shape[1:]), (1, *array.shape)])
-    shapes |= st_numpy.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=3)
-    return draw(st_numpy.arrays(st_numpy.scalar_dtypes() | texts, shapes))
+    shapes = (array.shape, (0, *array.shape[1:]), (1, *array.shape))
+    shape = draw(st.sampled_from(shapes)) if draw(st.booleans()) else draw(SHAPES)
+    return draw(st_numpy.arrays(draw(TYPES), shape))

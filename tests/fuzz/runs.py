@@ -1,6 +1,7 @@
 """Damaged files of a run: configuration, metrics, results and checkpoints."""
 
 import contextlib
+import functools
 import os
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ from ailsrs_jax.errors import UserError
 from tests.fuzz.damage import damaged_bytes, write_damaged
 
 
+@functools.cache
 def config() -> Any:
     from ailsrs_jax.data.sources import Source
     from ailsrs_jax.runs.storage.config import RunConfig
@@ -32,6 +34,11 @@ def config() -> Any:
     )
 
 
+@functools.cache
+def config_json() -> Any:
+    return config().as_json()  # asks for the versions of all packages, which takes a while
+
+
 def make_run(draw: st.DrawFn, path: Path) -> None:
     """The files of a run that ``ailsrs report`` reads."""
     columns = ["iteration", "seed", "env_steps", "evaluation_return", "expert_distance"]
@@ -41,20 +48,26 @@ def make_run(draw: st.DrawFn, path: Path) -> None:
         "expert_return": {"mean": 1.0, "std": 0.0},
         "seeds": {"5": {"kept_iteration": 2, "score": -0.5}},
     }
-    files = {"config.json": config().as_json(), "metrics.csv": rows, "result.json": result}
+    files = {"config.json": config_json(), "metrics.csv": rows, "result.json": result}
     write_damaged(draw, path, files)
+
+
+@functools.cache
+def expert() -> Any:
+    from ailsrs_jax.data.policies import expert_path, load_policy
+
+    return load_policy(expert_path("Swimmer-v5"))
 
 
 def read_files_of_run(path: Path) -> object:
     """Read the run with every function that reads it."""
-    from ailsrs_jax.data.policies import expert_path, load_policy
     from ailsrs_jax.runs.evaluation import Evaluation
     from ailsrs_jax.runs.storage.config import read_config
     from ailsrs_jax.runs.storage.metrics import CsvFile
     from ailsrs_jax.runs.storage.saved_run import read_run
     from ailsrs_jax.show.model_card import find_origin, model_card
 
-    policy = load_policy(expert_path("Swimmer-v5"))
+    policy = expert()
     origin = find_origin(policy, path / "seed_5" / "policy.npz")
     card = model_card(policy, Evaluation(np.ones(2), np.ones(2)), "here", origin, "mit")
     assert all(line.isprintable() for line in card.split("\n"))

@@ -62,7 +62,7 @@ def train(
     worker_timeout: Seconds = None,
     output: OptionalPath = None,
     resume: Flag = False,
-    checkpoint_every: Every = 10,
+    checkpoint_every: Every | None = None,
     track: TrackerName = None,
     distributed: Flag = False,
     terminal: TerminalOptions = TERMINAL,
@@ -96,7 +96,8 @@ def train(
             in a new process.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Continue from the newest checkpoint in the output directory.
-        checkpoint_every: Save the whole state every K iterations.
+        checkpoint_every: Save the whole state every K iterations. By default this is done every
+            ten, but at most once a second.
         distributed: Share one run among the devices of all processes of a SLURM, Open MPI,
             Kubernetes or Cloud TPU job; start each process with this same command.
     """

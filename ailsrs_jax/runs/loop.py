@@ -30,8 +30,6 @@ from ailsrs_jax.runs.storage.policies import MILESTONES, by_seed
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
 from ailsrs_jax.runs.storage.trackers import require_tracker
 
-CHECKPOINT_EVERY = 10  # iterations
-
 Watch = Callable[[IterationReport], None]
 Progress = dict[str, Any]  # the training state, and the live steps of each lane so far
 
@@ -96,7 +94,7 @@ class _Run:
         """Return the result, and leave a checkpoint of its own for a run of a stack."""
         if self._lane is not None and self._output is not None:
             about = self._plan.config.as_json()
-            with Checkpoints(self._output / "checkpoints", CHECKPOINT_EVERY, about) as checkpoints:
+            with Checkpoints(self._output / "checkpoints", about=about) as checkpoints:
                 checkpoints.save(self._num_done(progress), self._part(progress))
         return self._result(progress)
 
@@ -142,7 +140,7 @@ def execute(
     *,
     checkpoints: Path | None = None,
     resume: bool | Literal["where begun"] = False,
-    checkpoint_every: int = CHECKPOINT_EVERY,
+    checkpoint_every: int | None = None,
     track: str | None = None,
     watch: Watch | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -159,7 +157,8 @@ def execute(
         checkpoints: the directory of the shared checkpoints of several runs. A stack resumes from
             it only with the same runs in the same order.
         resume: go on from the newest checkpoint; ``"where begun"``: wherever there is a run.
-        checkpoint_every: save the state every so many iterations.
+        checkpoint_every: save the state every so many iterations; None: every ten, but at most
+            once a second.
         track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         watch: called after every iteration, with the metrics of all lanes.
         stop: called after every iteration, and during one that MuJoCo's C engine simulates; if it
@@ -269,9 +268,9 @@ def execute(
 
 
 def _require_options(
-    outputs: Sequence[Path | None], resume: object, checkpoint_every: int, track: str | None
+    outputs: Sequence[Path | None], resume: object, checkpoint_every: int | None, track: str | None
 ) -> None:
-    if checkpoint_every < 1:
+    if checkpoint_every is not None and checkpoint_every < 1:
         raise UserError(f"checkpoint_every is {checkpoint_every}: it must be at least 1")
     for name, given in (("resume", resume), ("track", track)):
         if given and None in outputs:

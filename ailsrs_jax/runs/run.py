@@ -6,7 +6,7 @@ from typing import Any
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
-from ailsrs_jax.runs.loop import CHECKPOINT_EVERY, Watch, execute
+from ailsrs_jax.runs.loop import Watch, execute
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.journal import Result
@@ -20,7 +20,7 @@ def train(
     *,
     output: str | Path | None = None,
     resume: bool = False,
-    checkpoint_every: int = CHECKPOINT_EVERY,
+    checkpoint_every: int | None = None,
     track: str | None = None,
     watch: Watch | None = None,
     **options: Any,
@@ -38,7 +38,8 @@ def train(
         demonstrations: by default those of the expert that ships with the package.
         output: the run directory to write; by default nothing is written.
         resume: go on from the newest checkpoint in ``output``.
-        checkpoint_every: save the state every so many iterations.
+        checkpoint_every: save the state every so many iterations; None: every ten, but at most
+            once a second.
         track: ``wandb`` or ``trackio``, which receives the metrics too; see docs/tracking.md.
         watch: called after every iteration, for example with
             ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -21,6 +22,8 @@ from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_small, write_atomically
 from ailsrs_jax.runs.storage.processes import anywhere, as_the_first_says, is_first_process
 
+EVERY = 10  # iterations between checkpoints, unless they take less than PAUSE
+PAUSE = 1.0  # seconds
 KEEP = 2  # so that one is complete while another is written
 LISTED = 8  # checkpoints that the processes of a run compare
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
@@ -47,17 +50,18 @@ class Checkpoints:
     """
 
     def __init__(
-        self, directory: Path, save_every: int, about: dict[str, Any] | None = None
+        self, directory: Path, save_every: int | None = None, about: dict[str, Any] | None = None
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
+        None stands for every ten, but at most once a second.
         ``about`` are values that JSON can hold, which are saved with every checkpoint.
 
         Raises:
             UserError: the directory cannot be written.
         """
         self._directory = directory.absolute()
-        self._save_every = save_every
+        self._save_every, self._saved = save_every, time.monotonic()
         self._about = about or {}
         self._thread = ThreadPoolExecutor(1, "checkpoints")
         self._pending: Future[None] | None = None
@@ -92,7 +96,11 @@ class Checkpoints:
 
     def is_due(self, num_done: int) -> bool:
         """Whether to save after ``num_done`` iterations: the first time, and every so often."""
-        return self._newest is None or num_done % self._save_every == 0
+        if self._newest is None:
+            return True
+        if self._save_every is not None:
+            return num_done % self._save_every == 0
+        return num_done % EVERY == 0 and anywhere(time.monotonic() >= self._saved + PAUSE)
 
     def save(self, num_done: int, state: Any) -> None:
         """Copy the state after ``num_done`` iterations, and write it in the background.
@@ -115,7 +123,7 @@ class Checkpoints:
             with tempfile.TemporaryFile(dir=self._directory) as file:
                 file.truncate(size + OVERHEAD)  # raises if a file may not be as large
             self._manager.save(num_done, args=args)
-        self._newest = num_done
+        self._newest, self._saved = num_done, time.monotonic()
         self._pending = self._thread.submit(self._seal, num_done)
 
     def restore(self, like: Any) -> Restored:

@@ -160,6 +160,21 @@ def test_numbers_tell_the_newest_whatever_the_clock_says(tmp_path: Path, monkeyp
     assert read(tmp_path) == (10, 10.0)
 
 
+def test_by_default_every_tenth_iteration_is_saved_but_not_within_a_second(
+    tmp_path: Path, monkeypatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    with Checkpoints(tmp_path) as checkpoints:
+        assert checkpoints.is_due(1)
+        checkpoints.save(1, make_state())
+        now = 0.9
+        assert not checkpoints.is_due(10)
+        now = 1.1
+        assert not checkpoints.is_due(19)
+        assert checkpoints.is_due(20)
+
+
 @pytest.fixture
 def small_files() -> Any:
     """Limit files to 2 kB."""

@@ -82,6 +82,7 @@ def long_run(directory: Path, hours: float) -> None:
         writer.writerow(("minute", "resident_kb", "threads", "open_files"))
         for minute in range(int(60 * hours) + 1):
             time.sleep(max(0.0, began + 60 * minute - time.time()))
+            assert process.poll() is None, "the run has ended"
             fields = dict(line.split(":", 1) for line in (path / "status").read_text().splitlines())
             resident, threads = (int(fields[x].split()[0]) for x in ("VmRSS", "Threads"))
             writer.writerow((minute, resident, threads, len([*(path / "fd").iterdir()])))

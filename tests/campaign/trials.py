@@ -24,7 +24,10 @@ Counts = Counter[str]
 SEARCH = "num_directions=4 num_top_directions=2 num_evaluation_episodes=2"
 POINT_MASS = "tests.point_mass:PointMass"
 TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=1500"
-LONG = "train hopper --demonstrations expert:linear --num-trajectories 1 --iterations 100000000"
+LONG = (
+    "train hopper --demonstrations expert:linear --num-trajectories 1 --iterations 100000000 "
+    "--set finish_distance=0"
+)
 WORKERS = (
     "train gymnasium:Pendulum-v1 --algorithm ars "
     f"--set {SEARCH} episode_length=50 num_iterations=1000"

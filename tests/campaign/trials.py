@@ -26,7 +26,7 @@ POINT_MASS = "tests.point_mass:PointMass"
 TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=1500"
 LONG = (
     "train hopper --demonstrations expert:linear --num-trajectories 1 --iterations 100000000 "
-    "--set finish_distance=0"
+    "--set finish_distance=1e-9"
 )
 WORKERS = (
     "train gymnasium:Pendulum-v1 --algorithm ars "

@@ -112,7 +112,9 @@ class _Run:
         )
 
     def _num_done(self, progress: Progress) -> int:
-        return int(np.max(self._part(progress)["state"].iteration))
+        # This is asked in every iteration, and slicing the whole state would take much longer.
+        iterations = np.asarray(progress["state"].iteration)
+        return int(iterations[slice(None) if self._lane is None else self._lane].max())
 
     def _part(self, progress: Progress) -> Progress:
         if self._lane is None:

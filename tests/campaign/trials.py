@@ -23,7 +23,7 @@ from tests.fuzz.readers import READERS
 Counts = Counter[str]
 SEARCH = "num_directions=4 num_top_directions=2 num_evaluation_episodes=2"
 POINT_MASS = "tests.point_mass:PointMass"
-TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=1500"
+TRAIN = f"train {POINT_MASS} --algorithm ars --set {SEARCH} episode_length=20 num_iterations=10000"
 LONG = (
     "train hopper --demonstrations expert:linear --num-trajectories 1 --iterations 100000000 "
     "--set finish_distance=1e-9"
@@ -39,7 +39,7 @@ env = "{POINT_MASS}"
 algorithm = "ars"
 seeds = [0, 1]
 [settings]
-num_iterations = 600
+num_iterations = 6000
 episode_length = 20
 num_directions = [4, 6]
 num_top_directions = 2

@@ -11,7 +11,7 @@ import pytest
 
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.loop import execute
+from ailsrs_jax.runs.loop import _Run, execute
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
@@ -189,6 +189,32 @@ def test_what_diverges_in_a_stack_has_failed_whenever_one_asks(tmp_path: Path) -
     assert 0 < alone.count("done") < 4
     assert outcomes() == alone
     assert outcomes() == alone  # a second call trains nothing
+
+
+def test_the_states_of_a_stack_are_split_only_to_be_saved(
+    point_mass: PointMass, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Splitting takes longer than a short iteration: each array of each run is an operation."""
+    splits: list[int] = []
+    iteration = 0
+
+    def split(self: _Run, progress: Any) -> Any:
+        splits.append(iteration)
+        return original(self, progress)
+
+    def watch(report: Any) -> None:
+        nonlocal iteration
+        iteration = report.iteration + 1
+
+    original = _Run._part
+    monkeypatch.setattr(_Run, "_part", split)
+    settings = TINY["ars"] | {"num_iterations": 16}
+    cells = [
+        one_device(point_mass, algorithm="ars", seeds=(seed,), settings=settings) for seed in (0, 1)
+    ]
+    execute_stack(cells, [tmp_path / "a", tmp_path / "b"], tmp_path / "stack", watch=watch)
+    assert set(splits).isdisjoint({5, 7, 10, 11, 13, 14})  # others are milestones, or saved
+    assert splits.count(12) == len(cells)
 
 
 def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:

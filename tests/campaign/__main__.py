@@ -1,7 +1,8 @@
 """Random faults for hours: kills, damaged files, odd commands, full disks, diverging physics.
 
 ``python -m tests.campaign --hours 9 --directory DIR`` repeats random trials. Each has a number,
-which is the seed of its random numbers and is printed first. ``--replay NUMBER`` repeats one. What
+which is the seed of its random numbers and is printed first. ``--replay NUMBER`` repeats one, with the
+same ``--only`` if kinds of trials were chosen; a kind that is named twice is twice as likely. What
 a trial that failed has left stays in ``DIR/failed-NUMBER``. ``DIR/summary.json`` holds the counts.
 
 ``--long-run`` trains one run instead, and records its resident memory, threads and open files every
@@ -19,17 +20,18 @@ import sys
 import time
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.campaign.program import start
 from tests.campaign.trials import LONG, TRIALS
 
 
-def campaign(directory: Path, hours: float, first: int) -> int:
+def campaign(directory: Path, hours: float, first: int, kinds: Sequence[str]) -> int:
     """Repeat trials until the time is over; return the number of failures."""
     began, number, counts, failures = time.time(), first, Counter[str](), []
     while time.time() < began + 3600 * hours:
-        problem = trial(directory, number, counts)
+        problem = trial(directory, number, counts, kinds)
         if problem is not None:
             failures.append({"trial": number, "problem": problem[-2000:]})
         number += 1
@@ -44,10 +46,10 @@ def campaign(directory: Path, hours: float, first: int) -> int:
     return len(failures)
 
 
-def trial(directory: Path, number: int, counts: Counter[str]) -> str | None:
+def trial(directory: Path, number: int, counts: Counter[str], kinds: Sequence[str]) -> str | None:
     """Make one trial, and return the traceback if it failed."""
     rng = random.Random(number)
-    name = rng.choice(list(TRIALS))
+    name = rng.choice(kinds)
     say(f"{time.strftime('%H:%M:%S')} trial {number}: {name}")
     place = directory / f"failed-{number}"
     shutil.rmtree(place, ignore_errors=True)
@@ -97,6 +99,7 @@ def main() -> None:
     parser.add_argument("--directory", type=Path, default=Path("campaign"))
     parser.add_argument("--first", type=int, default=None, help="number of the first trial")
     parser.add_argument("--replay", type=int, default=None, help="repeat the trial of this number")
+    parser.add_argument("--only", choices=TRIALS, nargs="+", default=list(TRIALS))
     parser.add_argument("--long-run", action="store_true")
     arguments = parser.parse_args()
     directory = arguments.directory.absolute()
@@ -104,10 +107,11 @@ def main() -> None:
     if arguments.long_run:
         long_run(directory, arguments.hours)
     elif arguments.replay is not None:
-        raise SystemExit(trial(directory, arguments.replay, Counter()) is not None)
+        problem = trial(directory, arguments.replay, Counter(), arguments.only)
+        raise SystemExit(problem is not None)
     else:
         first = random.randrange(10**9) if arguments.first is None else arguments.first
-        raise SystemExit(campaign(directory, arguments.hours, first) > 0)
+        raise SystemExit(campaign(directory, arguments.hours, first, arguments.only) > 0)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ num_directions = [4, 6]
 num_top_directions = 2
 [[grid]]
 """
-KILLS = 20  # of one run, at most
+KILLS = 25  # of one run, at most
 VOCABULARY = shlex.split(
     "train evaluate demonstrate expert sweep merge benchmark render report export inspect --help "
     "hopper hoper swimmer gymnasium:Nothing-v0 nowhere:Task : --set a=1 num_iterations=1 "
@@ -69,7 +69,7 @@ def kill_train(rng: random.Random, directory: Path) -> Counts:
         resume = ["--resume"] if (output / "config.json").exists() else []
         return [*shlex.split(TRAIN), "--output", "run", *resume]
 
-    killed = kill_until_finished(words, directory, rng, 8, KILLS)
+    killed = kill_until_finished(words, directory, rng, 6, KILLS)
     assert files(output) == files(baseline)
     return Counter(kills_of_train=killed)
 
@@ -87,7 +87,7 @@ def kill_sweep(rng: random.Random, directory: Path) -> Counts:
     def tables(place: Path) -> list[bytes]:
         return contents(*(place / "sweep" / name for name in ("results.csv", "curves.csv")))
 
-    killed = kill_until_finished(lambda: words, directory, rng, 10, KILLS)
+    killed = kill_until_finished(lambda: words, directory, rng, 8, KILLS)
     assert tables(directory) == tables(baseline)
     return Counter(kills_of_sweep=killed)
 

@@ -54,7 +54,7 @@ class _Run:
         """Open the journal, which only the first process has."""
         if self._output is None or not is_first_process():
             return None
-        num_done, steps = self._num_done(progress), self._part(progress)["steps"]
+        num_done, steps = self._num_done(progress), self._part(progress["steps"])
         self._journal = Journal(self._output, self._plan.config, num_done, steps, track)
         if num_done > 0:
             self.problem = earlier_divergence(self._output / "metrics.csv")
@@ -77,15 +77,17 @@ class _Run:
         """Append an iteration to the journal, which led to ``progress``."""
         if self._journal is not None:
             self._journal.append(self._part_of(report), to_disk=to_disk)
-            if self._num_done(progress) - 1 in MILESTONES:
-                self._journal.save_evaluated(self._part(progress)["state"])
+            iteration = self._num_done(progress) - 1
+            if iteration in MILESTONES:
+                offered = self._part(progress["state"].kept.offered)
+                self._journal.save_evaluated(iteration, offered)
 
     def save(self, progress: Progress) -> None:
         """Write policies and ``result.json``."""
         if self._journal is not None:
             self._journal.save(
                 self._result(progress),
-                self._part(progress)["steps"],
+                self._part(progress["steps"]),
                 command=self._plan.spec.command,
                 finished=self.problem is None and self.is_finished(progress),
             )
@@ -100,7 +102,7 @@ class _Run:
 
     def _result(self, progress: Progress) -> Result:
         config = self._plan.config
-        kept = self._part(progress)["state"].kept
+        kept = self._part(progress["state"].kept)
         iterations, scores = (np.asarray(x).tolist() for x in (kept.iteration, kept.score))
         return Result(
             config=config,
@@ -112,16 +114,14 @@ class _Run:
         )
 
     def _num_done(self, progress: Progress) -> int:
-        # This is asked in every iteration, and slicing the whole state would take much longer.
-        iterations = np.asarray(progress["state"].iteration)
-        return int(iterations[slice(None) if self._lane is None else self._lane].max())
+        return int(np.max(self._part(np.asarray(progress["state"].iteration))))
 
-    def _part(self, progress: Progress) -> Progress:
+    def _part(self, lanes: Any) -> Any:
+        """Slice what is needed of the state, because every array of the device takes a while."""
         if self._lane is None:
-            return progress
+            return lanes
         lane = slice(self._lane, self._lane + 1)
-        part: Progress = jax.tree.map(lambda x: x[lane], progress)
-        return part
+        return jax.tree.map(lambda x: x[lane], lanes)
 
     def _part_of(self, report: IterationReport) -> IterationReport:
         """Return the metrics of this run, with an equal share of the time of all runs."""

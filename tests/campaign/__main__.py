@@ -1,9 +1,10 @@
 """Random faults for hours: kills, damaged files, odd commands, full disks, diverging physics.
 
 ``python -m tests.campaign --hours 9 --directory DIR`` repeats random trials. Each has a number,
-which is the seed of its random numbers and is printed first. ``--replay NUMBER`` repeats one, with the
-same ``--only`` if kinds of trials were chosen; a kind that is named twice is twice as likely. What
-a trial that failed has left stays in ``DIR/failed-NUMBER``. ``DIR/summary.json`` holds the counts.
+which is the seed of its random numbers and is printed first. ``--only`` chooses kinds of trials; a
+kind that is named twice is twice as likely. ``--replay NUMBER`` repeats a trial, with the same
+``--only``. What a trial that failed has left stays in ``DIR/failed-NUMBER``. ``DIR/summary.json``
+holds the counts.
 
 ``--long-run`` trains one run instead, and records its resident memory, threads and open files every
 minute in ``DIR/resources.csv``.

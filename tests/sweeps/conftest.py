@@ -10,6 +10,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
+from ailsrs_jax.runs.storage import checkpoint
 from tests.sweeps.toy_sweep import POINT_MASS, two_cells
 
 
@@ -20,6 +21,12 @@ def demonstrations(in_tmp_path: Path, point_mass_expert: Demonstrations) -> str:
     lengths = np.minimum(short.lengths, 20)  # as long as the episodes of these tests
     save_demonstrations(short.replace(env_id=POINT_MASS, lengths=lengths), "point_mass.npz")
     return "point_mass.npz"
+
+
+@pytest.fixture(autouse=True)
+def every_tenth_iteration_is_saved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """These iterations are so short that otherwise only the first would be."""
+    monkeypatch.setattr(checkpoint, "PAUSE", 0.0)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.config import RunConfig
@@ -88,15 +89,14 @@ class Journal:
         if self._tracker is not None:
             self._tracker.append(report)
 
-    def save_evaluated(self, state: Any) -> None:
-        """Write the policies of the last iteration that the training ``state`` has seen.
+    def save_evaluated(self, iteration: int, policies: Policy) -> None:
+        """Write the ``policies`` that this iteration has evaluated, with an axis for all seeds.
 
         Raises:
             UserError: they cannot be written.
         """
-        name = f"{int(np.max(state.iteration)) - 1}.npz"
-        for seed, policy in by_seed(state.kept.offered, self._config).items():
-            policy.save(self._directory / f"seed_{seed}" / EVALUATED / name)
+        for seed, policy in by_seed(policies, self._config).items():
+            policy.save(self._directory / f"seed_{seed}" / EVALUATED / f"{iteration}.npz")
 
     def save(
         self, result: Result, steps: Sequence[int], *, command: str | None, finished: bool

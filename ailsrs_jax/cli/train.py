@@ -97,7 +97,7 @@ def train(
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Continue from the newest checkpoint in the output directory.
         checkpoint_every: Save the whole state every K iterations. By default this is done every
-            ten, but at most once a second.
+            ten, but at most once a second and for a tenth of the time.
         distributed: Share one run among the devices of all processes of a SLURM, Open MPI,
             Kubernetes or Cloud TPU job; start each process with this same command.
     """

@@ -6,6 +6,7 @@ they are trained.
 """
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
 from pathlib import Path
@@ -97,7 +98,8 @@ class _Run:
         if self._lane is not None and self._output is not None:
             about = self._plan.config.as_json()
             with Checkpoints(self._output / "checkpoints", about=about) as checkpoints:
-                checkpoints.save(self._num_done(progress), self._part(progress))
+                part = jax.tree.map(self._of_lane, progress)
+                checkpoints.save(self._num_done(progress), part)
         return self._result(progress)
 
     def _result(self, progress: Progress) -> Result:
@@ -114,14 +116,15 @@ class _Run:
         )
 
     def _num_done(self, progress: Progress) -> int:
-        return int(np.max(self._part(np.asarray(progress["state"].iteration))))
+        return int(np.max(self._part(progress["state"].iteration)))
 
     def _part(self, lanes: Any) -> Any:
-        """Slice what is needed of the state, because every array of the device takes a while."""
-        if self._lane is None:
-            return lanes
-        lane = slice(self._lane, self._lane + 1)
-        return jax.tree.map(lambda x: x[lane], lanes)
+        """Return what belongs to this run; slicing on the device would take much longer."""
+        return lanes if self._lane is None else jax.tree.map(self._of_lane, jax.device_get(lanes))
+
+    def _of_lane(self, x: Any) -> Any:
+        assert self._lane is not None
+        return x[self._lane : self._lane + 1]
 
     def _part_of(self, report: IterationReport) -> IterationReport:
         """Return the metrics of this run, with an equal share of the time of all runs."""
@@ -160,7 +163,7 @@ def execute(
             it only with the same runs in the same order.
         resume: go on from the newest checkpoint; ``"where begun"``: wherever there is a run.
         checkpoint_every: save the state every so many iterations; None: every ten, but at most
-            once a second.
+            once a second and for a tenth of the time.
         track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         watch: called after every iteration, with the metrics of all lanes.
         stop: called after every iteration, and during one that MuJoCo's C engine simulates; if it
@@ -250,10 +253,12 @@ def execute(
                 if saver is not None:
                     save = failed or stopping or report.is_last or saver.is_due(num_done)
                     with together():
+                        began = time.monotonic()
                         for run in going:
                             run.append(report, progress, to_disk=save)
                         if save:
                             save_all()
+                            saver.rest(began)
                 if failed:
                     break
                 if watch is not None:

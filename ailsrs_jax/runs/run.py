@@ -39,7 +39,7 @@ def train(
         output: the run directory to write; by default nothing is written.
         resume: go on from the newest checkpoint in ``output``.
         checkpoint_every: save the state every so many iterations; None: every ten, but at most
-            once a second.
+            once a second and for a tenth of the time.
         track: ``wandb`` or ``trackio``, which receives the metrics too; see docs/tracking.md.
         watch: called after every iteration, for example with
             ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.

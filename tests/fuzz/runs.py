@@ -34,11 +34,6 @@ def config() -> Any:
     )
 
 
-@functools.cache
-def config_json() -> Any:
-    return config().as_json()  # asks for the versions of all packages, which takes a while
-
-
 def make_run(draw: st.DrawFn, path: Path) -> None:
     """The files of a run that ``ailsrs report`` reads."""
     columns = ["iteration", "seed", "env_steps", "evaluation_return", "expert_distance"]
@@ -48,7 +43,7 @@ def make_run(draw: st.DrawFn, path: Path) -> None:
         "expert_return": {"mean": 1.0, "std": 0.0},
         "seeds": {"5": {"kept_iteration": 2, "score": -0.5}},
     }
-    files = {"config.json": config_json(), "metrics.csv": rows, "result.json": result}
+    files = {"config.json": config().as_json(), "metrics.csv": rows, "result.json": result}
     write_damaged(draw, path, files)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
-from ailsrs_jax.runs.storage import checkpoint
+from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from tests.sweeps.toy_sweep import POINT_MASS, two_cells
 
 
@@ -26,7 +26,7 @@ def demonstrations(in_tmp_path: Path, point_mass_expert: Demonstrations) -> str:
 @pytest.fixture(autouse=True)
 def every_tenth_iteration_is_saved(monkeypatch: pytest.MonkeyPatch) -> None:
     """These iterations are so short that otherwise only the first would be."""
-    monkeypatch.setattr(checkpoint, "PAUSE", 0.0)
+    monkeypatch.setattr(Checkpoints, "rest", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,9 @@ from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_small, write_atomically
 from ailsrs_jax.runs.storage.processes import anywhere, as_the_first_says, is_first_process
 
-EVERY = 10  # iterations between checkpoints, unless they take less than PAUSE
-PAUSE = 1.0  # seconds
+EVERY = 10  # iterations between checkpoints, if they do not follow too soon
+PAUSE = 1.0  # seconds between two at least
+SHARE = 0.1  # of the time that is spent on saving at most
 KEEP = 2  # so that one is complete while another is written
 LISTED = 8  # checkpoints that the processes of a run compare
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
@@ -54,14 +55,14 @@ class Checkpoints:
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
-        None stands for every ten, but at most once a second.
+        None stands for every ten, but at most once a second and for a tenth of the time.
         ``about`` are values that JSON can hold, which are saved with every checkpoint.
 
         Raises:
             UserError: the directory cannot be written.
         """
         self._directory = directory.absolute()
-        self._save_every, self._saved = save_every, time.monotonic()
+        self._save_every, self._resting_until = save_every, 0.0
         self._about = about or {}
         self._thread = ThreadPoolExecutor(1, "checkpoints")
         self._pending: Future[None] | None = None
@@ -100,7 +101,12 @@ class Checkpoints:
             return True
         if self._save_every is not None:
             return num_done % self._save_every == 0
-        return num_done % EVERY == 0 and anywhere(time.monotonic() >= self._saved + PAUSE)
+        return num_done % EVERY == 0 and anywhere(time.monotonic() >= self._resting_until)
+
+    def rest(self, began: float) -> None:
+        """Delay the next checkpoint after saving, which ``began`` at this monotonic time."""
+        now = time.monotonic()
+        self._resting_until = now + max(PAUSE, (1 / SHARE - 1) * (now - began))
 
     def save(self, num_done: int, state: Any) -> None:
         """Copy the state after ``num_done`` iterations, and write it in the background.
@@ -123,7 +129,7 @@ class Checkpoints:
             with tempfile.TemporaryFile(dir=self._directory) as file:
                 file.truncate(size + OVERHEAD)  # raises if a file may not be as large
             self._manager.save(num_done, args=args)
-        self._newest, self._saved = num_done, time.monotonic()
+        self._newest = num_done
         self._pending = self._thread.submit(self._seal, num_done)
 
     def restore(self, like: Any) -> Restored:

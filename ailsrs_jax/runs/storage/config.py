@@ -1,6 +1,7 @@
 """The configuration of a run, ``config.json``."""
 
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import json
@@ -76,6 +77,7 @@ class RunConfig:
         return as_read
 
 
+@functools.cache
 def installed_versions() -> dict[str, str]:
     """Return the versions of the packages that the numbers of a run depend on."""
     return {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES}

@@ -163,16 +163,20 @@ def test_numbers_tell_the_newest_whatever_the_clock_says(tmp_path: Path, monkeyp
 def test_by_default_every_tenth_iteration_is_saved_but_not_within_a_second(
     tmp_path: Path, monkeypatch
 ) -> None:
+    """And at most a tenth of the time is spent on it."""
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     with Checkpoints(tmp_path) as checkpoints:
         assert checkpoints.is_due(1)
         checkpoints.save(1, make_state())
-        now = 0.9
-        assert not checkpoints.is_due(10)
-        now = 1.1
-        assert not checkpoints.is_due(19)
-        assert checkpoints.is_due(20)
+        for seconds, until in ((0.01, 1.0), (2.0, 18.0)):
+            began, now = now, now + seconds
+            checkpoints.rest(began)
+            now += until - 0.1
+            assert not checkpoints.is_due(10)
+            now += 0.2
+            assert not checkpoints.is_due(19)
+            assert checkpoints.is_due(20)
 
 
 @pytest.fixture

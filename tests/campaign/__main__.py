@@ -7,7 +7,7 @@ kind that is named twice is twice as likely. ``--replay NUMBER`` repeats a trial
 holds the counts.
 
 ``--long-run`` trains one run instead, and records its resident memory, threads and open files every
-minute in ``DIR/resources.csv``.
+minute in ``DIR/resources.csv``. ``DIR/slopes.json`` tells how they change after the first half hour.
 """
 
 import argparse
@@ -24,8 +24,13 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from scipy.stats import linregress, t
+
 from tests.campaign.program import start
 from tests.campaign.trials import LONG, TRIALS
+
+WARM_UP = 30  # minutes of a long run
 
 
 def campaign(directory: Path, hours: float, first: int, kinds: Sequence[str]) -> int:
@@ -90,8 +95,22 @@ def long_run(directory: Path, hours: float) -> None:
             resident, threads = (int(fields[x].split()[0]) for x in ("VmRSS", "Threads"))
             writer.writerow((minute, resident, threads, len([*(path / "fd").iterdir()])))
             file.flush()
+            if minute > WARM_UP + 2:
+                write_slopes(directory)
     process.send_signal(signal.SIGTERM)
     process.communicate()
+
+
+def write_slopes(directory: Path) -> None:
+    """Write what each column gains in an hour: the least-squares slope, and its 95 % interval."""
+    table = np.genfromtxt(directory / "resources.csv", delimiter=",", names=True)
+    table = table[table["minute"] >= WARM_UP]
+    slopes = {}
+    for name in ("resident_kb", "threads", "open_files"):
+        fit = linregress(table["minute"] / 60, table[name])
+        half = float(t.ppf(0.975, len(table) - 2) * fit.stderr)
+        slopes[name] = {"per_hour": round(fit.slope, 2), "plus_or_minus": round(half, 2)}
+    (directory / "slopes.json").write_text(json.dumps(slopes, indent=1) + "\n")
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ kind that is named twice is twice as likely. ``--replay NUMBER`` repeats a trial
 holds the counts.
 
 ``--long-run`` trains one run instead, and records its resident memory, threads and open files every
-minute in ``DIR/resources.csv``. ``DIR/slopes.json`` tells how they change after the first half hour.
+minute in ``DIR/resources.csv``. ``DIR/slopes.json`` tells how they change after half an hour.
 """
 
 import argparse
@@ -108,7 +108,7 @@ def write_slopes(directory: Path) -> None:
     slopes = {}
     for name in ("resident_kb", "threads", "open_files"):
         fit = linregress(table["minute"] / 60, table[name])
-        half = float(t.ppf(0.975, len(table) - 2) * fit.stderr)
+        half = float(np.nan_to_num(t.ppf(0.975, len(table) - 2) * fit.stderr))  # NaN of a constant
         slopes[name] = {"per_hour": round(fit.slope, 2), "plus_or_minus": round(half, 2)}
     (directory / "slopes.json").write_text(json.dumps(slopes, indent=1) + "\n")
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
 Every = Annotated[int, arg(metavar="K")]
+OptionalEvery = Annotated[int | None, arg(metavar="K", help_behavior_hint="")]
 Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
 Seeds = Annotated[
     UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
@@ -62,7 +63,7 @@ def train(
     worker_timeout: Seconds = None,
     output: OptionalPath = None,
     resume: Flag = False,
-    checkpoint_every: Every | None = None,
+    checkpoint_every: OptionalEvery = None,
     track: TrackerName = None,
     distributed: Flag = False,
     terminal: TerminalOptions = TERMINAL,
@@ -96,8 +97,8 @@ def train(
             in a new process.
         output: The run directory to write; by default runs/ENV-DATE-TIME.
         resume: Continue from the newest checkpoint in the output directory.
-        checkpoint_every: Save the whole state every K iterations. By default this is done every
-            ten, but at most once a second and for a tenth of the time.
+        checkpoint_every: Save the whole state every K iterations. The default is every ten, with
+            a rest after each: a second, or nine times as long as saving has stopped the training.
         distributed: Share one run among the devices of all processes of a SLURM, Open MPI,
             Kubernetes or Cloud TPU job; start each process with this same command.
     """

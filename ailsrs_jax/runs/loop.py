@@ -162,8 +162,8 @@ def execute(
         checkpoints: the directory of the shared checkpoints of several runs. A stack resumes from
             it only with the same runs in the same order.
         resume: go on from the newest checkpoint; ``"where begun"``: wherever there is a run.
-        checkpoint_every: save the state every so many iterations; None: every ten, but at most
-            once a second and for a tenth of the time.
+        checkpoint_every: save the state every so many iterations. With None, it is every ten, with
+            a rest after each: a second, or nine times as long as saving has stopped the training.
         track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
         watch: called after every iteration, with the metrics of all lanes.
         stop: called after every iteration, and during one that MuJoCo's C engine simulates; if it

@@ -38,8 +38,8 @@ def train(
         demonstrations: by default those of the expert that ships with the package.
         output: the run directory to write; by default nothing is written.
         resume: go on from the newest checkpoint in ``output``.
-        checkpoint_every: save the state every so many iterations; None: every ten, but at most
-            once a second and for a tenth of the time.
+        checkpoint_every: save the state every so many iterations. With None, it is every ten, with
+            a rest after each: a second, or nine times as long as saving has stopped the training.
         track: ``wandb`` or ``trackio``, which receives the metrics too; see docs/tracking.md.
         watch: called after every iteration, for example with
             ``lambda report: print(report.iteration, report.metrics["evaluation_return"])``.

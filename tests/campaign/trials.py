@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import threading
+import zlib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -77,7 +78,7 @@ def kill_train(rng: random.Random, directory: Path) -> Counts:
 def kill_sweep(rng: random.Random, directory: Path) -> Counts:
     """Kill a sweep at random moments and go on with it."""
     words = ["sweep", "spec.toml", "--own", POINT_MASS, "--output", "sweep"]
-    baseline = directory.parent / "baseline-sweep"
+    baseline = directory.parent / f"baseline-{zlib.crc32(SPEC.encode())}"
     for each in (directory, baseline):
         each.mkdir(exist_ok=True)
         (each / "spec.toml").write_text(SPEC)
@@ -120,9 +121,10 @@ def _kill_helpers(
         while not over.wait(rng.uniform(pause, 3 * pause)):
             if (directory / "run" / "metrics.csv").exists():
                 found = [each for each in _descendants(process.pid) if _command(each, name)]
-                with contextlib.suppress(ProcessLookupError, IndexError):
-                    os.kill(rng.choice(found), signal.SIGKILL)
-                    number += 1
+                with contextlib.suppress(ProcessLookupError):
+                    if found:
+                        os.kill(rng.choice(found), signal.SIGKILL)
+                        number += 1
 
     killer = threading.Thread(target=kill)
     killer.start()
@@ -131,6 +133,7 @@ def _kill_helpers(
     finally:
         over.set()
         killer.join()
+    assert number > 0, "nothing was killed"
     names = ("metrics.csv", "seed_0/policy.npz")
     assert contents(*(directory / "run" / x for x in names)) == contents(
         *(baseline / x for x in names)
@@ -164,7 +167,7 @@ def full_disk(rng: random.Random, directory: Path) -> Counts:
     """Files cannot grow beyond a random size; without the limit the run resumes."""
     baseline = _baseline(directory, TRAIN)
     words = [*shlex.split(TRAIN), "--output", "run"]
-    limit = int(10 ** rng.uniform(2, 5))
+    limit = int(10 ** rng.uniform(2, 6.5))
     process = start(words, directory)
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
     errors = finish(process, codes=(0, 2))
@@ -200,7 +203,7 @@ TRIALS: dict[str, Callable[[random.Random, Path], Counts]] = {
 
 def _baseline(directory: Path, command: str) -> Path:
     """Return the run that the command makes undisturbed; trials share it."""
-    place = directory.parent / f"baseline-{command.split()[1].partition(':')[0]}"
+    place = directory.parent / f"baseline-{zlib.crc32(command.encode())}"
     place.mkdir(exist_ok=True)
     if not (place / "finished").exists():
         finish(start([*shlex.split(command), "--output", "run"], place))
@@ -221,5 +224,5 @@ def _descendants(parent: int) -> list[int]:
 def _command(process: int, name: str) -> bool:
     """Whether the command of the process begins with ``name``."""
     with contextlib.suppress(OSError):
-        return Path(f"/proc/{process}/cmdline").read_text().startswith(name)
+        return Path(f"/proc/{process}/cmdline").read_bytes().startswith(name.encode())
     return False

@@ -129,7 +129,9 @@ def safetensors_files(draw: st.DrawFn) -> bytes:
     length = int.from_bytes(content[:8], "little")
     # The library writes the texts in a random order.
     tree = json.loads(content[8 : 8 + length], object_pairs_hook=lambda x: dict(sorted(x)))
-    header = draw(changed_json(tree))
+    header = json.dumps(tree).encode()
+    content = len(header).to_bytes(8, "little") + header + content[8 + length :]
+    length, header = len(header), draw(changed_json(tree))
     told = draw(st.sampled_from([len(header)] * 8 + [0, 2**40, 2**64 - 1]))
     changed = told.to_bytes(8, "little") + header + content[8 + length :]
     return draw(st.sampled_from([content, content, changed]) | damaged_bytes(content))

@@ -196,6 +196,7 @@ def test_the_states_of_a_stack_are_split_only_to_be_saved(
 ) -> None:
     """Splitting all arrays of all runs takes longer than a short iteration."""
     splits: list[int] = []
+    on_device: list[bool] = []
     iteration = 0
 
     def split(self: _Run, lanes: Any) -> Any:
@@ -207,8 +208,13 @@ def test_the_states_of_a_stack_are_split_only_to_be_saved(
         nonlocal iteration
         iteration = report.iteration + 1
 
-    original = _Run._part
+    def slice_lane(self: _Run, x: Any) -> Any:
+        on_device.append(isinstance(x, jax.Array) and iteration < 15)
+        return original_slice(self, x)
+
+    original, original_slice = _Run._part, _Run._of_lane
     monkeypatch.setattr(_Run, "_part", split)
+    monkeypatch.setattr(_Run, "_of_lane", slice_lane)
     settings = TINY["ars"] | {"num_iterations": 16}
     cells = [
         one_device(point_mass, algorithm="ars", seeds=(seed,), settings=settings) for seed in (0, 1)
@@ -216,6 +222,7 @@ def test_the_states_of_a_stack_are_split_only_to_be_saved(
     execute_stack(cells, [tmp_path / "a", tmp_path / "b"], tmp_path / "stack", watch=watch)
     assert set(splits).isdisjoint({5, 7, 10, 11, 13, 14})  # others are milestones, or saved
     assert 12 in splits
+    assert not any(on_device)  # before the checkpoint of each run, at the end
 
 
 def test_what_cannot_be_stacked(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:

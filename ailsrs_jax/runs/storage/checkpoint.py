@@ -6,8 +6,8 @@ import hashlib
 import logging
 import os
 import re
+import resource
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,9 +22,9 @@ from ailsrs_jax.errors import UserError, one_line
 from ailsrs_jax.files import read_small, write_atomically
 from ailsrs_jax.runs.storage.processes import anywhere, as_the_first_says, is_first_process
 
-EVERY = 10  # iterations between checkpoints, if they do not follow too soon
-PAUSE = 1.0  # seconds between two at least
-SHARE = 0.1  # of the time that is spent on saving at most
+EVERY = 10  # iterations from a checkpoint to the next, if no rest is needed
+PAUSE = 1.0  # shortest rest after a checkpoint [s]
+SHARE = 0.1  # largest share of the time in which saving may stop the training
 KEEP = 2  # so that one is complete while another is written
 LISTED = 8  # checkpoints that the processes of a run compare
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
@@ -55,7 +55,8 @@ class Checkpoints:
     ) -> None:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
-        None stands for every ten, but at most once a second and for a tenth of the time.
+        With None, it is every ten iterations that are not within the rest after a checkpoint, see
+        :meth:`rest`.
         ``about`` are values that JSON can hold, which are saved with every checkpoint.
 
         Raises:
@@ -101,10 +102,13 @@ class Checkpoints:
             return True
         if self._save_every is not None:
             return num_done % self._save_every == 0
-        return num_done % EVERY == 0 and anywhere(time.monotonic() >= self._resting_until)
+        return num_done % EVERY == 0 and not anywhere(time.monotonic() < self._resting_until)
 
     def rest(self, began: float) -> None:
-        """Delay the next checkpoint after saving, which ``began`` at this monotonic time."""
+        """Rest after a checkpoint, whose saving ``began`` at this time of the monotonic clock.
+
+        The rest takes at least a second, and nine times as long as training has been stopped.
+        """
         now = time.monotonic()
         self._resting_until = now + max(PAUSE, (1 / SHARE - 1) * (now - began))
 
@@ -126,8 +130,9 @@ class Checkpoints:
             # Where there is no room, the threads of Orbax would print tracebacks.
             if shutil.disk_usage(self._directory).free < size + OVERHEAD:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            with tempfile.TemporaryFile(dir=self._directory) as file:
-                file.truncate(size + OVERHEAD)  # raises if a file may not be as large
+            longest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]  # of a file; -1: any
+            if 0 <= longest < size + OVERHEAD:
+                raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
             self._manager.save(num_done, args=args)
         self._newest = num_done
         self._pending = self._thread.submit(self._seal, num_done)

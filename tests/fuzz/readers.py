@@ -25,7 +25,7 @@ READERS = {
         100, archives.make_safetensors_policy, archives.read_safetensors_policy, "safetensors"
     ),
     "imitation": Reader(60, datasets.make_imitation, datasets.read_imitation, "pyarrow"),
-    "minari": Reader(20, datasets.make_minari, datasets.read_minari, "minari"),
+    "minari": Reader(60, datasets.make_minari, datasets.read_minari, "minari"),
     "run": Reader(200, runs.make_run, runs.read_files_of_run),
     "checkpoints": Reader(4, runs.make_checkpoints, runs.read_checkpoints),
     "results": Reader(60, sweeps.make_results, sweeps.read_sweep_results),

@@ -64,11 +64,9 @@ class _Run:
 
     def is_finished(self, progress: Progress) -> bool:
         """Tell whether no iteration of this run is left."""
-        over = finished(progress["state"])
-        if self._lane is not None:
-            over = np.broadcast_to(over, len(progress["steps"]))[self._lane]
+        over = np.broadcast_to(finished(progress["state"]), len(progress["steps"]))
         num_iterations: int = self._plan.config.settings.num_iterations
-        return self._num_done(progress) == num_iterations or bool(over.all())
+        return self._num_done(progress) == num_iterations or bool(self._of_lane(over).all())
 
     def note(self, report: IterationReport) -> None:
         """Remember if most episodes of this run diverged."""
@@ -123,17 +121,16 @@ class _Run:
         return lanes if self._lane is None else jax.tree.map(self._of_lane, jax.device_get(lanes))
 
     def _of_lane(self, x: Any) -> Any:
-        assert self._lane is not None
-        return x[self._lane : self._lane + 1]
+        return x if self._lane is None else x[self._lane : self._lane + 1]
 
     def _part_of(self, report: IterationReport) -> IterationReport:
         """Return the metrics of this run, with an equal share of the time of all runs."""
         if self._lane is None:
             return report
-        lane, count = slice(self._lane, self._lane + 1), len(report.metrics["env_steps"])
+        count = len(report.metrics["env_steps"])
         return dataclasses.replace(
             report,
-            metrics={name: values[lane] for name, values in report.metrics.items()},
+            metrics={name: self._of_lane(values) for name, values in report.metrics.items()},
             seconds=report.seconds / count,
             compile_seconds=report.compile_seconds and report.compile_seconds / count,
         )

@@ -30,6 +30,9 @@ from scipy.stats import linregress, t
 from tests.campaign.program import start
 from tests.campaign.trials import LONG, TRIALS
 
+# Anonymous memory is what the program has allocated. The rest of the resident memory is pages of
+# files, which the system takes back and reads again when it likes.
+COLUMNS = ("resident_kb", "anonymous_kb", "swapped_kb", "threads", "open_files")
 WARM_UP = 30  # minutes of a long run that are not counted
 BLOCK = 10  # minutes
 
@@ -88,14 +91,14 @@ def long_run(directory: Path, hours: float) -> None:
     path = Path(f"/proc/{process.pid}")
     with (directory / "resources.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("minute", "resident_kb", "threads", "open_files"))
+        writer.writerow(("minute", *COLUMNS))
         for minute in range(int(60 * hours) + 1):
             time.sleep(max(0.0, began + 60 * minute - time.time()))
             if process.poll() is not None:
                 raise SystemExit(f"the run has ended: {process.communicate()[1]}")
             fields = dict(line.split(":", 1) for line in (path / "status").read_text().splitlines())
-            resident, threads = (int(fields[x].split()[0]) for x in ("VmRSS", "Threads"))
-            writer.writerow((minute, resident, threads, len([*(path / "fd").iterdir()])))
+            counts = (int(fields[x].split()[0]) for x in ("VmRSS", "RssAnon", "VmSwap", "Threads"))
+            writer.writerow((minute, *counts, len([*(path / "fd").iterdir()])))
             file.flush()
             if minute >= WARM_UP + 3 * BLOCK:
                 write_slopes(directory)
@@ -112,7 +115,7 @@ def write_slopes(directory: Path) -> None:
     table = table[table["minute"] >= WARM_UP]
     num = len(table) // BLOCK
     slopes = {}
-    for name in ("resident_kb", "threads", "open_files"):
+    for name in COLUMNS:
         hours, means = (
             table[column][: num * BLOCK].reshape(num, BLOCK).mean(axis=1) / unit
             for column, unit in (("minute", 60), (name, 1))

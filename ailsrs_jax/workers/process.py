@@ -39,7 +39,8 @@ class ProcessWorker:
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
             )
         self._connection = Connection(ours.detach())
-        self.send((["", *sys.path], name))
+        self.send(["", *sys.path])
+        self.send(name)
 
     def send(self, request: Any) -> None:
         """Send a request; a dead worker does not answer."""

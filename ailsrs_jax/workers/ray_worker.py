@@ -13,12 +13,13 @@ from ailsrs_jax.workers.worker import Failure, attempt
 
 class _Actor:
     def __init__(self, name: Any) -> None:
-        self._envs = attempt(Environments, name)
+        self._envs = attempt(lambda: Environments(name))
 
     def answer(self, request: Any) -> Any:
         if isinstance(self._envs, Failure):
             return self._envs
-        return self._envs.facts if request is None else attempt(self._envs.answer, request)
+        envs = self._envs
+        return envs.facts if request is None else attempt(lambda: envs.answer(request))
 
 
 class RayWorker:

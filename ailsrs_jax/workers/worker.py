@@ -26,31 +26,38 @@ class Failure(NamedTuple):
     traceback: str
 
 
-def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
+def attempt(function: Callable[[], Any]) -> Any:
     """Return what ``function`` returns, or a :class:`Failure`."""
     try:
-        return function(*arguments)
+        return function()
     except Exception as error:
         return Failure(one_line(error), traceback.format_exc())
 
 
 def serve(connection: Connection) -> None:
-    """Make the environment of the first request, then run the episodes and segments of others."""
-    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_receive, args=(connection, requests), daemon=True).start()
-    sys.path[:], name = requests.get()
-    envs = attempt(Environments, name)
+    """Make an environment, then run episodes and segments.
+
+    The first request is ``sys.path``, with which all others are unpickled; the second is the name
+    of the environment.
+    """
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+    def receive() -> None:
+        try:
+            while True:
+                requests.put(connection.recv_bytes())
+        finally:
+            os._exit(0)
+
+    def load() -> Any:
+        return cloudpickle.loads(requests.get())
+
+    threading.Thread(target=receive, daemon=True).start()
+    sys.path[:] = load()
+    envs = attempt(lambda: Environments(load()))
     connection.send(envs if isinstance(envs, Failure) else envs.facts)
     while True:
-        connection.send(attempt(envs.answer, requests.get()))
-
-
-def _receive(connection: Connection, requests: "queue.SimpleQueue[Any]") -> None:
-    try:
-        while True:
-            requests.put(cloudpickle.loads(connection.recv_bytes()))
-    finally:
-        os._exit(0)
+        connection.send(attempt(lambda: envs.answer(load())))
 
 
 if __name__ == "__main__":

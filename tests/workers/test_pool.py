@@ -1,5 +1,6 @@
 """Whole episodes of Gymnasium environments in worker processes."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -143,6 +144,23 @@ def test_what_cannot_be_put_there_is_told_once(
 def test_names_may_say_which_module_registers_them() -> None:
     env = GymnasiumEnv("tests.workers.environments:Plain-v0", workers=1)
     assert env.time_limit == 40
+
+
+def test_the_module_of_an_environment_may_be_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As beside a script that runs in another directory; if it is gone, a line says so."""
+    module = tmp_path / "beside.py"
+    module.write_text(
+        "from tests.workers.environments import Mass\n\n\ndef maker() -> Mass:\n    return Mass()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    beside = importlib.import_module("beside")
+    assert GymnasiumEnv(beside.maker, workers=1).observation_size == 2
+    module.unlink()
+    with pytest.raises(UserError, match="maker: ModuleNotFoundError: No module named 'beside'; "):
+        GymnasiumEnv(beside.maker, workers=1)
+    monkeypatch.delitem(sys.modules, "beside")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.errors import UserError, one_line, os_errors, refusing
+from ailsrs_jax.errors import UserError, os_errors, refusing
 
 MAX_JSON = 2**20  # bytes; this package's own files have a few thousand
 MAX_NAME = 200  # characters
@@ -79,10 +79,8 @@ def _followed(path: Path) -> Path:
 
 def require_file(path: Path) -> None:
     """Raise UserError unless ``path`` is a regular file; reading a pipe or device could block."""
-    try:
+    with refusing(f"cannot read {path}"):
         is_there, is_file = path.exists(), path.is_file()
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot read {path}: {one_line(error)}") from error
     if not is_there:
         raise UserError(f"no such file: {path}")
     if not is_file:

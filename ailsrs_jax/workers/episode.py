@@ -89,18 +89,15 @@ def make(name: str | Callable[[], gymnasium.Env], render_mode: str | None = None
     return env
 
 
-def describe(env: gymnasium.Env, name: str | Callable[[], gymnasium.Env]) -> Facts:
+def describe(env: Any, name: str | Callable[[], gymnasium.Env]) -> Facts:
     """Return the facts about the environment ``env`` that :func:`make` made for ``name``."""
-    space = env.action_space
-    assert isinstance(space, Box)
-    assert env.observation_space.shape is not None
     # A specification by name still has the limit that ``make`` has left out. The module in front of
     # it has been imported.
     spec = gymnasium.spec(name.rpartition(":")[2]) if isinstance(name, str) else env.spec
     return Facts(
         observation_size=env.observation_space.shape[0],
-        action_low=np.float32(space.low).ravel(),
-        action_high=np.float32(space.high).ravel(),
+        action_low=np.float32(env.action_space.low).ravel(),
+        action_high=np.float32(env.action_space.high).ravel(),
         time_limit=spec.max_episode_steps if spec is not None else None,
         sets_observations=find_setter(env) is not None,
     )

@@ -18,7 +18,7 @@ from typing import Any
 
 from ailsrs_jax.errors import UserError, did_you_mean, one_line
 
-_allowed: set[str] = set()
+_allowed: set[str | None] = set()
 
 
 def is_own(name: str) -> bool:
@@ -26,7 +26,7 @@ def is_own(name: str) -> bool:
     return ":" in name
 
 
-def allow(*names: str) -> None:
+def allow(*names: str | None) -> None:
     """Allow files to name this code, because the user has named it in this process."""
     _allowed.update(names)
 

@@ -2,12 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.own_code import allow
+
+
+def optional(metavar: str, text: str | None = None) -> Any:
+    """Describe an option without "(default: None)": its help says what happens without it."""
+    return arg(metavar=metavar, help=text, help_behavior_hint="")
+
 
 EnvName = Annotated[
     str,
@@ -34,25 +39,22 @@ RealPhysicsName = Annotated[
     ),
 ]
 Seed = Annotated[int, arg(help="Seed of all random numbers, from 0.")]
-# An empty hint replaces "(default: None)" and "(default: False)"; the help says what happens.
-Count = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
-OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
+Count = Annotated[int | None, optional("N")]
+OptionalPath = Annotated[Path | None, optional("PATH")]
 OwnEnv = Annotated[
     str | None,
-    arg(
-        metavar="NAME",
-        help="The task that the file names, if it is your own or a module of Gymnasium "
+    optional(
+        "NAME",
+        "The task that the file names, if it is your own or a module of Gymnasium "
         "environments: such code is imported only if you repeat its name here.",
-        help_behavior_hint="",
     ),
 ]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 TrackerName = Annotated[
     str | None,
-    arg(
-        metavar="wandb|trackio",
-        help="Also send the metrics to Weights & Biases or Trackio; needs the extra of that name.",
-        help_behavior_hint="",
+    optional(
+        "wandb|trackio",
+        "Also send the metrics to Weights & Biases or Trackio; needs the extra of that name.",
     ),
 ]
 # Both "--set a=1 b=2" and "--set a=1 --set b=2".
@@ -65,12 +67,6 @@ Settings = Annotated[
         help_behavior_hint="(repeatable)",
     ),
 ]
-
-
-def allow_env(name: str | None) -> None:
-    """Allow a file to name this environment; see :mod:`ailsrs_jax.own_code`."""
-    if name is not None:
-        allow(name)
 
 
 def assignments(groups: Sequence[Sequence[str]]) -> dict[str, str]:

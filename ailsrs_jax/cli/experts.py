@@ -5,7 +5,15 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Count, EnvName, PhysicsName, Seed, Settings, assignments
+from ailsrs_jax.cli.arguments import (
+    Count,
+    EnvName,
+    PhysicsName,
+    Seed,
+    Settings,
+    assignments,
+    optional,
+)
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import is_own
@@ -15,9 +23,7 @@ def demonstrate(
     env: Positional[EnvName],
     output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
     num_trajectories: int = 40,
-    expert: Annotated[
-        str | None, arg(metavar="POLICY|MODULE:FUNCTION", help_behavior_hint="")
-    ] = None,
+    expert: Annotated[str | None, optional("POLICY|MODULE:FUNCTION")] = None,
     physics: PhysicsName = "auto",
     seed: Seed = 0,
     episode_length: Count = None,

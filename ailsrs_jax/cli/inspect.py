@@ -12,9 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, allow_env
+from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, optional
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.storage.metrics import percentage
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ KEPT = "kept: the return of the kept policies, in % of the expert's"
 
 def inspect(
     demonstrations: Positional[Annotated[str, arg(metavar="FILE|minari:ID|DIR")]],
-    task: Positional[Annotated[str | None, arg(metavar="[ENV]", help_behavior_hint="")]] = None,
+    task: Positional[Annotated[str | None, optional("[ENV]")]] = None,
     num_trajectories: Count = None,
     physics: PhysicsName = "auto",
     env: OwnEnv = None,
@@ -57,7 +58,7 @@ def inspect(
     from ailsrs_jax.runs.training_data import require_fit
 
     set_up_jax()
-    allow_env(env)
+    allow(env)
     if task is None:
         if not demonstrations.endswith(".npz"):
             raise UserError(f"name the environment: ailsrs inspect {demonstrations} ENV")
@@ -88,7 +89,7 @@ def inspect(
 
 def compare(
     directories: Positional[Annotated[tuple[Path, ...], arg(metavar="DIR [DIR ...]")]],
-    output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
+    output: Annotated[Path | None, optional("FILE.html")] = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Show runs of one task side by side: returns, distances, and what they cost.

@@ -11,9 +11,10 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Count, Flag, OwnEnv, RealPhysicsName, Seed, allow_env
+from ailsrs_jax.cli.arguments import Count, Flag, OwnEnv, RealPhysicsName, Seed
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import allow
 
 if TYPE_CHECKING:
     from ailsrs_jax.runs.benchmark.speed import Row
@@ -47,7 +48,7 @@ def evaluate(
     from ailsrs_jax.runs import evaluation
     from ailsrs_jax.runs.horizon import policy_horizon
 
-    allow_env(env)
+    allow(env)
     rows: list[dict[str, Any]] = []
     table = Table("policy", "environment", f"return, {episodes} episodes", "length", box=None)
     for path in policy_files(policy):
@@ -60,8 +61,7 @@ def evaluate(
             episode_length=policy_horizon(path) if episode_length is None else episode_length,
             stochastic=stochastic,
         )
-        in_gymnasium = physics == "gymnasium"
-        engine = physics if in_gymnasium else open_env(loaded.env_id, physics).engine
+        engine = physics if physics == "gymnasium" else open_env(loaded.env_id, physics).engine
         row = {"policy": str(path), "env_id": loaded.env_id, "physics": engine}
         rows.append(row | evaluation_fields(result))
         length = f"{result.lengths.mean():.0f}"

@@ -14,10 +14,11 @@ from ailsrs_jax.cli.arguments import (
     PolicyPath,
     RealPhysicsName,
     Seed,
-    allow_env,
+    optional,
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.own_code import allow
 
 
 def render(
@@ -70,17 +71,17 @@ def render(
         terminal.json({"output": str(output), "policies": names})
         return
     with terminal.stage("rendering") as watch:
-        from ailsrs_jax.show import learning as film
-        from ailsrs_jax.show import video
+        from ailsrs_jax.show.learning import film_learning
+        from ailsrs_jax.show.video import Animation, render
 
-        allow_env(env)
+        allow(env)
         options: dict[str, Any] = {"physics": physics, "seed": seed, "seconds": seconds}
         options |= {"watch": watch} if size is None else {"watch": watch, "size": size}
-        animation: video.Animation
+        animation: Animation
         if learning:
-            animation = film.film_learning(policy, output, **options)
+            animation = film_learning(policy, output, **options)
         else:
-            animation = video.render(policy, output, expert=expert, alone=alone, **options)
+            animation = render(policy, output, expert=expert, alone=alone, **options)
     episodes: list[dict[str, Any]] = [
         {"label": label, "length": replay.num_steps, "return": float(replay.env_rewards.sum())}
         for label, replay in zip(animation.labels, animation.replays, strict=True)
@@ -92,7 +93,7 @@ def render(
 
 def report(
     directory: Positional[Annotated[Path, arg(metavar="DIR")]],
-    output: Annotated[Path | None, arg(metavar="FILE.html", help_behavior_hint="")] = None,
+    output: Annotated[Path | None, optional("FILE.html")] = None,
     episodes: int = 100,
     no_video: Flag = False,
     env: OwnEnv = None,
@@ -112,7 +113,7 @@ def report(
     """
     from ailsrs_jax.show.reports.report import report
 
-    allow_env(env)
+    allow(env)
     with terminal.stage("writing the report") as watch:
         path = report(directory, output, episodes=episodes, video=not no_video, watch=watch)
     terminal.line(str(path))
@@ -147,7 +148,7 @@ def export(
     """
     from ailsrs_jax.show.export import export
 
-    allow_env(env)
+    allow(env)
     evaluation = export(
         policy,
         output,

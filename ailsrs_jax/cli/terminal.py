@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import functools
 import json
-import math
 import shlex
 import shutil
 import sys
@@ -74,7 +73,8 @@ class Terminal:
     def json(self, fields: Mapping[str, Any]) -> None:
         """Print the object for programs if it was asked for; NaN and infinity become null."""
         if self.as_json:
-            sys.stdout.write(json.dumps(_finite(fields), indent=2) + "\n")
+            finite = json.loads(json.dumps(fields), parse_constant=lambda _: None)
+            print(json.dumps(finite, indent=2))
 
 
 # Added to the options of a command, without a prefix.
@@ -96,18 +96,9 @@ def evaluation_fields(evaluation: Any) -> dict[str, Any]:
 def this_command(*more: str) -> str:
     """Return the command line of this process followed by ``more``, quoted for a shell."""
     program = Path(sys.argv[0])
+    start = [str(program)]
     if program.name == "__main__.py":
         start = [sys.executable, "-m", "ailsrs_jax"]
-    else:
-        found = shutil.which(program.name)
-        is_found = found is not None and program.exists() and program.samefile(found)
-        start = [program.name if is_found else str(program)]
+    elif program.exists() and (found := shutil.which(program.name)) and program.samefile(found):
+        start = [program.name]
     return shlex.join([*start, *sys.argv[1:], *more])
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -20,6 +20,7 @@ from ailsrs_jax.cli.arguments import (
     Settings,
     TrackerName,
     assignments,
+    optional,
 )
 from ailsrs_jax.cli.terminal import (
     TERMINAL,
@@ -34,36 +35,28 @@ from ailsrs_jax.runs.storage.metrics import percentage
 if TYPE_CHECKING:
     from ailsrs_jax.runs.storage.journal import Result
 
-AlgorithmName = Annotated[str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")]
-Every = Annotated[int, arg(metavar="K")]
-OptionalEvery = Annotated[int | None, arg(metavar="K", help_behavior_hint="")]
-Seconds = Annotated[float | None, arg(metavar="S", help_behavior_hint="")]
-Seeds = Annotated[
-    UseAppendAction[tuple[tuple[int, ...], ...]], arg(metavar="SEED ...", help_behavior_hint="")
-]
-Source = Annotated[str | None, arg(metavar="SOURCE", help_behavior_hint="")]
-Workers = Annotated[str | None, arg(metavar="N|ray:N", help_behavior_hint="")]
-
 
 def train(
     env: Positional[EnvName],
-    algorithm: AlgorithmName = "ailsrs",
-    demonstrations: Source = None,
+    algorithm: Annotated[
+        str, arg(metavar="ailsrs|bc|gail|ars|brs|trpo|MODULE:ATTRIBUTE")
+    ] = "ailsrs",
+    demonstrations: Annotated[str | None, optional("SOURCE")] = None,
     num_trajectories: Count = None,
     draw_from: Count = None,
-    subsample: Every = 1,
+    subsample: Annotated[int, arg(metavar="K")] = 1,
     states_only: Flag = False,
-    seeds: Seeds = (),
+    seeds: Annotated[UseAppendAction[tuple[tuple[int, ...], ...]], optional("SEED ...")] = (),
     iterations: Count = None,
     preset: Annotated[str, arg(metavar="tuned|paper")] = "tuned",
     settings: Settings = (),
     physics: PhysicsName = "auto",
     rollout_batch_size: Count = None,
-    workers: Workers = None,
-    worker_timeout: Seconds = None,
+    workers: Annotated[str | None, optional("N|ray:N")] = None,
+    worker_timeout: Annotated[float | None, optional("S")] = None,
     output: OptionalPath = None,
     resume: Flag = False,
-    checkpoint_every: OptionalEvery = None,
+    checkpoint_every: Annotated[int | None, optional("K")] = None,
     track: TrackerName = None,
     distributed: Flag = False,
     terminal: TerminalOptions = TERMINAL,
@@ -152,17 +145,16 @@ def train(
         name = env.replace(":", ".").replace("/", ".")  # colons are special to scp
         output = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
         continue_by = ["--output", str(output), "--resume"]
-    learns_from, expert_return = "the environment's reward", None
-    data = planned.data
+    data, learns_from, expert_return = planned.data, "the environment's reward", None
     if data.source is not None and data.expert_returns is not None:
         expert_return = float(np.mean(data.expert_returns))
         given = data.source.described(data.num_trajectories, data.subsample)
         learns_from = f"{given}, return {expert_return:.0f}"
         learns_from += "" if data.infer is None else ", actions inferred first"
-    named = " ".join(map(str, config.seeds))
     terminal.line(
         f"{find_algorithm(algorithm).title} on {config.env_id} · {learns_from} · preset {preset} · "
-        f"seeds {named}\nphysics {config.physics} ({planned.physics_reason}) · "
+        f"seeds {' '.join(map(str, config.seeds))}\n"
+        f"physics {config.physics} ({planned.physics_reason}) · "
         f"devices: {planned.simulator.num_devices} · {output}"
     )
     stop = StopSignals()
@@ -194,16 +186,16 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     from ailsrs_jax.trainers.algorithms import find_algorithm
     from ailsrs_jax.trainers.parts.reference import verdict
 
+    plot_training_curve(output)
+    if terminal.quiet and not terminal.as_json:
+        return
     config, expert = result.config, result.expert_returns
     length = config.settings.episode_length
     mean, std = (None, None) if expert is None else (float(expert.mean()), float(expert.std()))
     is_distance = find_algorithm(config.algorithm).kept_by == "expert_distance"
     table = Table("seed", "kept at", "return, 100 episodes", "of the expert", "distance", box=None)
     fields: list[dict[str, Any]] = []
-    verdicts: list[str] = []
     for seed, policy in result.policies.items():
-        if terminal.quiet and not terminal.as_json:
-            break
         with terminal.stage(f"evaluating seed {seed}"):
             evaluation = evaluate(policy, physics=physics, episode_length=length)
         kept, returns, drawn = result.kept_iterations[seed], str(evaluation), None
@@ -218,15 +210,14 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
         row = {"seed": seed, "kept_iteration": kept, "policy": file}
         if is_distance:
             row |= {"distance": distance, "verdict": verdict(distance)}
-            verdicts.append(f"seed {seed} is {verdict(distance)}")
         fields.append(row | evaluation_fields(evaluation) | {"drawn": drawn})
     if expert is not None:
         other = result.demonstrated_length
         note = f" in episodes of {other} steps, not {length}" if other != length else ""
         table.add_row("expert", "", f"{mean:.0f} ± {std:.0f}{note}", style="dim")
     terminal.console.print(table)
-    plot_training_curve(output)
-    if verdicts:
+    if is_distance:
+        verdicts = [f"seed {row['seed']} is {row['verdict']}" for row in fields]
         terminal.line(f"judged by the distance, without a reward: {', '.join(verdicts)}")
     terminal.line(f"policies, metrics and training curve are in {output}\nnext:")
     quoted = shlex.quote(str(output))

@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ailsrs_jax.errors import UserError
 
 
-def optional(metavar: str, text: str | None = None) -> Any:
+def maybe(metavar: str, text: str | None = None) -> Any:
     """Describe an option without "(default: None)": its help says what happens without it."""
     return arg(metavar=metavar, help=text, help_behavior_hint="")
 
@@ -39,11 +39,11 @@ RealPhysicsName = Annotated[
     ),
 ]
 Seed = Annotated[int, arg(help="Seed of all random numbers, from 0.")]
-Count = Annotated[int | None, optional("N")]
-OptionalPath = Annotated[Path | None, optional("PATH")]
+Count = Annotated[int | None, maybe("N")]
+OptionalPath = Annotated[Path | None, maybe("PATH")]
 OwnEnv = Annotated[
     str | None,
-    optional(
+    maybe(
         "NAME",
         "The task that the file names, if it is your own or a module of Gymnasium "
         "environments: such code is imported only if you repeat its name here.",
@@ -52,7 +52,7 @@ OwnEnv = Annotated[
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 TrackerName = Annotated[
     str | None,
-    optional(
+    maybe(
         "wandb|trackio",
         "Also send the metrics to Weights & Biases or Trackio; needs the extra of that name.",
     ),

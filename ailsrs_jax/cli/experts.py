@@ -5,15 +5,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import (
-    Count,
-    EnvName,
-    PhysicsName,
-    Seed,
-    Settings,
-    assignments,
-    optional,
-)
+from ailsrs_jax.cli.arguments import Count, EnvName, PhysicsName, Seed, Settings, assignments, maybe
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import is_own
@@ -23,7 +15,7 @@ def demonstrate(
     env: Positional[EnvName],
     output: Annotated[str, arg(metavar="FILE|minari:DATASET_ID")],
     num_trajectories: int = 40,
-    expert: Annotated[str | None, optional("POLICY|MODULE:FUNCTION")] = None,
+    expert: Annotated[str | None, maybe("POLICY|MODULE:FUNCTION")] = None,
     physics: PhysicsName = "auto",
     seed: Seed = 0,
     episode_length: Count = None,

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, optional
+from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, maybe
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import allow
@@ -27,7 +27,7 @@ KEPT = "kept: the return of the kept policies, in % of the expert's"
 
 def inspect(
     demonstrations: Positional[Annotated[str, arg(metavar="FILE|minari:ID|DIR")]],
-    task: Positional[Annotated[str | None, optional("[ENV]")]] = None,
+    task: Positional[Annotated[str | None, maybe("[ENV]")]] = None,
     num_trajectories: Count = None,
     physics: PhysicsName = "auto",
     env: OwnEnv = None,
@@ -89,7 +89,7 @@ def inspect(
 
 def compare(
     directories: Positional[Annotated[tuple[Path, ...], arg(metavar="DIR [DIR ...]")]],
-    output: Annotated[Path | None, optional("FILE.html")] = None,
+    output: Annotated[Path | None, maybe("FILE.html")] = None,
     terminal: TerminalOptions = TERMINAL,
 ) -> None:
     """Show runs of one task side by side: returns, distances, and what they cost.

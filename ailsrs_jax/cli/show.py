@@ -14,7 +14,7 @@ from ailsrs_jax.cli.arguments import (
     PolicyPath,
     RealPhysicsName,
     Seed,
-    optional,
+    maybe,
 )
 from ailsrs_jax.cli.terminal import TERMINAL, TerminalOptions, evaluation_fields
 from ailsrs_jax.errors import UserError
@@ -93,7 +93,7 @@ def render(
 
 def report(
     directory: Positional[Annotated[Path, arg(metavar="DIR")]],
-    output: Annotated[Path | None, optional("FILE.html")] = None,
+    output: Annotated[Path | None, maybe("FILE.html")] = None,
     episodes: int = 100,
     no_video: Flag = False,
     env: OwnEnv = None,

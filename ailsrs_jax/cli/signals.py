@@ -73,8 +73,7 @@ class StopSignals:
         self._listener, self._teller = socket.socketpair()
         self._teller.setblocking(False)  # set_wakeup_fd requires it
         # Signals that are ignored already, as under nohup, stay ignored.
-        handlers = {number: signal.getsignal(number) for number in SIGNALS}
-        self._handlers = {n: each for n, each in handlers.items() if each != signal.SIG_IGN}
+        self._handlers = {n: h for n in SIGNALS if (h := signal.getsignal(n)) != signal.SIG_IGN}
         threading.Thread(target=self._listen, name="signals", daemon=True).start()
         # This order, here and at the end, loses no signal.
         self._wakeup_fd = signal.set_wakeup_fd(self._teller.fileno())

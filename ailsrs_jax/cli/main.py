@@ -24,11 +24,18 @@ from ailsrs_jax.errors import UserError, did_you_mean
 from ailsrs_jax.versions import VersionError
 
 COMMANDS: dict[str, Callable[..., None]] = {
-    command.__name__: command
-    for command in (
-        *(train, demonstrate, inspect_demonstrations, compare, expert, evaluate),
-        *(export, render, report, sweep, merge, benchmark),
-    )
+    "train": train,
+    "demonstrate": demonstrate,
+    "inspect": inspect_demonstrations,
+    "compare": compare,
+    "expert": expert,
+    "evaluate": evaluate,
+    "export": export,
+    "render": render,
+    "report": report,
+    "sweep": sweep,
+    "merge": merge,
+    "benchmark": benchmark,
 }
 
 app = tyro.extras.SubcommandApp()

@@ -23,6 +23,10 @@ class RunningStatistics(struct.PyTreeNode):
         std = jnp.sqrt(self.sum_of_squares / jnp.maximum(self.count, 1.0))
         return jnp.where(std > MIN_RELATIVE_STD * (1.0 + jnp.abs(self.mean)), std, 1.0)
 
+    def standardize(self, samples: jax.Array) -> jax.Array:
+        """Return ``samples (..., n)`` less the mean, in units of the standard deviation."""
+        return (samples - self.mean) / self.std
+
 
 def init(size: int) -> RunningStatistics:
     """Statistics of no samples of ``size`` dimensions."""

@@ -22,9 +22,8 @@ from ailsrs_jax.trainers.parts.policy_space import PolicySpace
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
-Metrics = dict[str, jax.Array]
 SAMPLES_OF_A_RETURN = 250  # steps of a policy that its energy distance is estimated from
 
 
@@ -91,16 +90,9 @@ class Ailsrs(Trainer):
         settings = self.settings
         key, updates_key, evaluation_key, distance_key = jax.random.split(state.key, 4)
         policy = self.space.policy(state.mean_weights, state.hidden, state.statistics)
-        evaluation = self.simulator.evaluate(
-            policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
-        )
+        evaluation, evaluated = self.evaluate(policy, evaluation_key)
         distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
-        evaluated = {
-            "evaluation_return": evaluation.env_returns.mean(),
-            "evaluation_length": evaluation.lengths.mean(),
-            "expert_distance": distance,
-            **evaluation.counts(),
-        }
+        evaluated["expert_distance"] = distance
         kept = state.kept.offer(policy, -distance, state.iteration, settings.keep_within)
         if is_used(settings.recentre_beyond):
             is_far = distance > settings.recentre_beyond * -kept.score

@@ -19,7 +19,7 @@ from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.episodes import with_evaluation
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, require_countable, validate
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Ars(Trainer):
             iteration=jnp.zeros((), jnp.int32),
         )
 
-    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Run one iteration: perturb, simulate, step; then merge the observations."""
         settings = self.settings
         key, noise_key, reset_key, evaluation_key = jax.random.split(state.key, 4)
@@ -85,9 +85,7 @@ class Ars(Trainer):
             jax.random.split(reset_key, 2 * settings.num_directions),
             settings.episode_length,
         )
-        evaluation = self.simulator.evaluate(
-            policy, evaluation_key, settings.num_evaluation_episodes, settings.episode_length
-        )
+        _, evaluated = self.evaluate(policy, evaluation_key)
         returns = episodes.env_returns - settings.survival_bonus * episodes.lengths
         weights = random_search.step(
             state.weights,
@@ -97,16 +95,10 @@ class Ars(Trainer):
             num_top_directions=settings.num_top_directions,
             scale_by_std=settings.scale_by_std,
         )
-        evaluation_return = evaluation.env_returns.mean()
-        evaluated = {
-            "evaluation_return": evaluation_return,
-            "evaluation_length": evaluation.lengths.mean(),
-            **evaluation.counts(),
-        }
         state = TrainState(
             weights=weights,
             statistics=normalizer.update(state.statistics, episodes.observations, episodes.usable),
-            kept=state.kept.offer(policy, evaluation_return, state.iteration),
+            kept=state.kept.offer(policy, evaluated["evaluation_return"], state.iteration),
             key=key,
             iteration=state.iteration + 1,
         )

@@ -19,7 +19,7 @@ from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, PositiveUpToOne, validate
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,11 +78,10 @@ class BehaviorCloning(Trainer):
             finished=jnp.zeros((), bool),
         )
 
-    def update(self, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+    def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Take some steps of Adam, or solve exactly; then measure the losses and the return."""
         settings, expert = self.settings, self.reference
-        keys = jax.random.split(state.key, 4)
-        key, batch_key, reset_key, distance_key = keys
+        key, batch_key, reset_key, distance_key = jax.random.split(state.key, 4)
         lengths = training_lengths(expert.lengths, settings.validation_fraction)
         training = jnp.arange(expert.observations.shape[1]) < lengths[:, None]
 
@@ -96,16 +95,11 @@ class BehaviorCloning(Trainer):
         kept = state.kept.offer(policy, -validation_loss, state.iteration)
         waited = state.iteration - kept.iteration >= settings.patience
 
-        evaluation = self.simulator.evaluate(
-            policy, reset_key, settings.num_evaluation_episodes, settings.episode_length
-        )
-        metrics = {
-            "evaluation_return": evaluation.env_returns.mean(),
-            "evaluation_length": evaluation.lengths.mean(),
+        evaluation, evaluated = self.evaluate(policy, reset_key)
+        metrics = evaluated | {
             "expert_distance": expert.distance(distance_key, evaluation, settings.episode_length),
             "training_loss": self._loss(weights, training),
             "validation_loss": validation_loss,
-            **evaluation.counts(),
         }
         state = TrainState(
             weights=weights,

@@ -15,17 +15,12 @@ from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
     ActorParameters,
     Carry,
-    Metrics,
     TrustRegionSettings,
-    collect_and_improve,
-    evaluate,
-    gaussian_policy,
-    make_actor_critic,
+    TrustRegionTrainer,
     require_batches,
 )
 from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
@@ -34,7 +29,7 @@ from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
 from ailsrs_jax.trainers.parts.settings import Positive, validate
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics
 
 CLONING_RATE = 3e-4
 
@@ -75,7 +70,7 @@ Turn = tuple[ActorCritic, RunningEnvs, AdversaryState]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Gail(Trainer):
+class Gail(TrustRegionTrainer):
     """Imitates ``reference`` in an environment; its reward is measured but never used.
 
     Policy and value function are neural. The discriminator is that of
@@ -93,7 +88,7 @@ class Gail(Trainer):
         statistics = normalizer.init(self.env.observation_size)
         if settings.standardize_with == "expert" or settings.behavior_cloning_start:
             statistics = self.reference.statistics
-        actor_critic = make_actor_critic(network_key, self.env, statistics, settings)
+        actor_critic = self.make_actor_critic(network_key, statistics)
         if settings.behavior_cloning_start:
             cloned = clone_network(
                 actor_critic.actor.layers,
@@ -108,9 +103,9 @@ class Gail(Trainer):
             actor_critic = actor_critic.replace(actor=ActorParameters(*cloned))
         return TrainState(
             actor_critic=actor_critic,
-            running=segments.begin(self.env, reset_key, settings.num_envs, settings.episode_length),
+            running=self.begin(reset_key),
             adversary=self.adversary.init(adversary_key),
-            kept=keep(gaussian_policy(self.env, actor_critic)),
+            kept=keep(self.policy(actor_critic)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
         )
@@ -118,10 +113,9 @@ class Gail(Trainer):
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Evaluate the policy, then improve policy and discriminator in turns."""
         settings = self.settings
-        keys = jax.random.split(state.key, 4)
-        key, evaluation_key, updates_key, distance_key = keys
-        policy = gaussian_policy(self.env, state.actor_critic)
-        evaluation, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
+        key, evaluation_key, updates_key, distance_key = jax.random.split(state.key, 4)
+        policy = self.policy(state.actor_critic)
+        evaluation, evaluated = self.evaluate(policy, evaluation_key)
         distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
         done = jnp.minimum(state.iteration / max(settings.num_iterations - 1, 1), 1.0)
         (actor_critic, running, adversary), metrics = jax.lax.scan(
@@ -158,8 +152,8 @@ class Gail(Trainer):
 
         def improve_policy(carry: Carry, key: jax.Array) -> tuple[Carry, tuple[Metrics, jax.Array]]:
             merges = self.settings.standardize_with == "running"
-            carry, steps, metrics = collect_and_improve(
-                self.env, carry, rewards, key, self.settings, merges_states=merges
+            carry, steps, metrics = self.collect_and_improve(
+                carry, rewards, key, merges_states=merges
             )
             metrics = metrics | {"imitation_reward": rewards(steps).mean()}
             return carry, (metrics, self._inputs(steps))

@@ -10,23 +10,18 @@ from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts import segments
 from ailsrs_jax.trainers.parts.actor_critic import (
     ActorCritic,
     Carry,
-    Metrics,
     TrustRegionSettings,
-    collect_and_improve,
-    evaluate,
-    gaussian_policy,
-    make_actor_critic,
+    TrustRegionTrainer,
     require_batches,
 )
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs
 from ailsrs_jax.trainers.parts.settings import validate
-from ailsrs_jax.trainers.parts.trainer import Algorithm, Trainer
+from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +40,7 @@ class TrainState(struct.PyTreeNode):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Trpo(Trainer):
+class Trpo(TrustRegionTrainer):
     """Trains a neural policy on the environment's reward."""
 
     simulator: Simulator
@@ -54,35 +49,33 @@ class Trpo(Trainer):
     def init(self, key: jax.Array) -> TrainState:
         """Start with a policy that acts almost at random."""
         key, network_key, reset_key = jax.random.split(key, 3)
-        statistics = normalizer.init(self.env.observation_size)
-        actor_critic = make_actor_critic(network_key, self.env, statistics, self.settings)
+        actor_critic = self.make_actor_critic(
+            network_key, normalizer.init(self.env.observation_size)
+        )
         return TrainState(
             actor_critic=actor_critic,
-            running=segments.begin(
-                self.env, reset_key, self.settings.num_envs, self.settings.episode_length
-            ),
-            kept=keep(gaussian_policy(self.env, actor_critic)),
+            running=self.begin(reset_key),
+            kept=keep(self.policy(actor_critic)),
             key=key,
             iteration=jnp.zeros((), jnp.int32),
         )
 
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Evaluate the policy, then improve it a few times."""
-        settings = self.settings
         key, evaluation_key, updates_key = jax.random.split(state.key, 3)
-        policy = gaussian_policy(self.env, state.actor_critic)
-        _, evaluated = evaluate(self.simulator, policy, evaluation_key, settings)
+        policy = self.policy(state.actor_critic)
+        _, evaluated = self.evaluate(policy, evaluation_key)
 
         def improve_policy(carry: Carry, key: jax.Array) -> tuple[Carry, Metrics]:
-            carry, _, metrics = collect_and_improve(
-                self.env, carry, lambda steps: steps.env_rewards, key, settings
+            carry, _, metrics = self.collect_and_improve(
+                carry, lambda steps: steps.env_rewards, key
             )
             return carry, metrics
 
         (actor_critic, running), metrics = jax.lax.scan(
             improve_policy,
             (state.actor_critic, state.running),
-            jax.random.split(updates_key, settings.updates_per_iteration),
+            jax.random.split(updates_key, self.settings.updates_per_iteration),
         )
         state = TrainState(
             actor_critic=actor_critic,

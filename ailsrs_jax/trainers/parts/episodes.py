@@ -57,17 +57,18 @@ class Episodes(struct.PyTreeNode):
             "diverged": self.diverged.sum(),
         }
 
+    def evaluated(self) -> dict[str, jax.Array]:
+        """Metrics of an evaluation: the means of return and length, and the counts."""
+        return {
+            "evaluation_return": self.env_returns.mean(),
+            "evaluation_length": self.lengths.mean(),
+            **self.counts(),
+        }
+
     def first(self, num_episodes: int) -> "Episodes":
         """The first episodes of the batch, on every device."""
-        return self.replace(
-            observations=self._everywhere(self.observations[:num_episodes]),
-            actions=self._everywhere(self.actions[:num_episodes]),
-            env_rewards=self._everywhere(self.env_rewards[:num_episodes]),
-            lengths=self._everywhere(self.lengths[:num_episodes]),
-            diverged=self._everywhere(self.diverged[:num_episodes]),
-            final_observations=self._everywhere(self.final_observations[:num_episodes]),
-            mesh=None,
-        )
+        few = jax.tree.map(lambda x: self._everywhere(x[:num_episodes]) if x.ndim else x, self)
+        return few.replace(mesh=None)
 
     def steps_at(self, time: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Observations, actions and next observations ``(B, k, ·)`` at ``time (B, k)`` of each.

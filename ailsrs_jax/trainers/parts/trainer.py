@@ -8,9 +8,11 @@ from typing import Any
 import jax
 
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override
 
+Metrics = dict[str, jax.Array]
 ANY_TASK = ""  # in a preset, changes for every task
 
 
@@ -30,10 +32,17 @@ class Trainer(ABC):
         """Return the state before the first iteration."""
 
     @abstractmethod
-    def update(self, state: Any) -> tuple[Any, dict[str, jax.Array]]:
+    def update(self, state: Any) -> tuple[Any, Metrics]:
         """Run one iteration; return the next state, and scalar metrics."""
 
-    def train(self, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+    def evaluate(self, policy: Any, key: jax.Array) -> tuple[Episodes, Metrics]:
+        """Simulate the evaluation of an iteration; return the episodes, and their metrics."""
+        episodes = self.simulator.evaluate(
+            policy, key, self.settings.num_evaluation_episodes, self.settings.episode_length
+        )
+        return episodes, episodes.evaluated()
+
+    def train(self, key: jax.Array) -> tuple[Any, Metrics]:
         """Run all iterations as one function of a key, without an early end; stack the metrics."""
         place = self.simulator.place
         return jax.lax.scan(

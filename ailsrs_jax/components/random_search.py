@@ -16,11 +16,6 @@ from ailsrs_jax.components.finite import finite_or
 MIN_RELATIVE_STD = 1e-6
 
 
-def sample_directions(key: jax.Array, num_directions: int, shape: tuple[int, ...]) -> jax.Array:
-    """Draw ``deltas (N, *shape)``, independent standard normal numbers."""
-    return jax.random.normal(key, (num_directions, *shape))
-
-
 def perturb(weights: jax.Array, deltas: jax.Array, noise_std: float | jax.Array) -> jax.Array:
     """Return the 2N perturbed weights: all ``M + ν δ_i``, then all ``M − ν δ_i``."""
     return jnp.concatenate([weights + noise_std * deltas, weights - noise_std * deltas])

@@ -15,11 +15,16 @@ from ailsrs_jax.components.sampling import StepMemory, empty_memory, sample_time
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts.adversary import SCORES, Adversary, AdversaryState
+from ailsrs_jax.trainers.parts.adversary import (
+    SCORES,
+    Adversary,
+    AdversaryState,
+    adversary_reference,
+)
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.policy_space import PolicySpace
-from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
@@ -139,8 +144,8 @@ class Ailsrs(Trainer):
 
     def ask(self, key: jax.Array) -> jax.Array:
         """Draw ``deltas (N, p, m + 1)``, the directions in which the policy is perturbed."""
-        num, shape = self.settings.num_directions, self.space.shape
-        return random_search.sample_directions(key, num, shape) * self.space.searched
+        shape = self.settings.num_directions, *self.space.shape
+        return jax.random.normal(key, shape) * self.space.searched
 
     def starts(self, key: jax.Array) -> Starts:
         """Draw the starts of the S episodes of each perturbed policy."""
@@ -272,17 +277,7 @@ def make_ailsrs(
     settings.require_consistent()
     remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
     require_countable(remembered + settings.steps_per_iteration)
-    reference = make_reference(
-        demonstrations,
-        settings.episode_length,
-        settings.num_distance_samples,
-        settings.discriminator_entries,
-        settings.leave_out_beyond,
-    )
-    Adversary(settings, reference)  # checks that the demonstrations hold what it sees
-    if settings.behavior_cloning_start:
-        reference.require_actions("behavior_cloning_start")
-    return Ailsrs(as_simulator(env), settings, reference)
+    return Ailsrs(as_simulator(env), settings, adversary_reference(demonstrations, settings))
 
 
 AILSRS = Algorithm("AILSRS", make_ailsrs, AilsrsSettings, presets.AILSRS, shares_devices=True)

@@ -77,9 +77,7 @@ class Ars(Trainer):
         settings = self.settings
         key, noise_key, reset_key, evaluation_key = jax.random.split(state.key, 4)
         policy = self.policy(state.weights, state.statistics)
-        deltas = random_search.sample_directions(
-            noise_key, settings.num_directions, state.weights.shape
-        )
+        deltas = jax.random.normal(noise_key, (settings.num_directions, *state.weights.shape))
         episodes = self.simulator(
             policy.with_weights(random_search.perturb(state.weights, deltas, settings.noise_std)),
             jax.random.split(reset_key, 2 * settings.num_directions),
@@ -131,6 +129,29 @@ ARS = Algorithm(
     shares_devices=True,
     kept_by="evaluation_return",
 )
+
+
+def _basic(changes: presets.Changes) -> presets.Changes:
+    """Turn changes of ARS's settings into those of BRS: all directions, no scaling, no statistics.
+
+    A step of BRS is proportional to the returns, which are about a hundred apart; ARS divides by
+    their standard deviation. So the step size is a hundredth.
+    """
+    settings = dataclasses.replace(ArsSettings(), **changes)
+    return {
+        **changes,
+        "num_top_directions": settings.num_directions,
+        "step_size": settings.step_size / 100.0,
+        "scale_by_std": False,
+        "normalize_observations": False,
+    }
+
+
 BRS = dataclasses.replace(
-    ARS, title="BRS", presets=presets.basic_random_search(presets.ARS, vars(ArsSettings()))
+    ARS,
+    title="BRS",
+    presets={
+        preset: {task: _basic(changes) for task, changes in tasks.items()}
+        for preset, tasks in presets.ARS.items()
+    },
 )

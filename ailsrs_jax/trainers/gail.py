@@ -23,9 +23,14 @@ from ailsrs_jax.trainers.parts.actor_critic import (
     TrustRegionTrainer,
     require_batches,
 )
-from ailsrs_jax.trainers.parts.adversary import Adversary, AdversarySettings, AdversaryState
+from ailsrs_jax.trainers.parts.adversary import (
+    Adversary,
+    AdversarySettings,
+    AdversaryState,
+    adversary_reference,
+)
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
-from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
 from ailsrs_jax.trainers.parts.settings import Positive, validate
@@ -186,17 +191,7 @@ def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: Ga
     """
     validate(settings)
     require_batches(settings)
-    reference = make_reference(
-        demonstrations,
-        settings.episode_length,
-        settings.num_distance_samples,
-        settings.discriminator_entries,
-        settings.leave_out_beyond,
-    )
-    Adversary(settings, reference)  # checks that the demonstrations hold what it sees
-    if settings.behavior_cloning_start:
-        reference.require_actions("behavior_cloning_start")
-    return Gail(as_simulator(env), settings, reference)
+    return Gail(as_simulator(env), settings, adversary_reference(demonstrations, settings))
 
 
 GAIL = Algorithm("GAIL", make_gail, GailSettings, presets.GAIL)

@@ -177,30 +177,3 @@ ARS: Presets = {
         "Walker2d-v5": {**_WALKER2D, "num_iterations": 80},
     },
 }
-
-
-def basic_random_search(presets: Presets, defaults: Changes) -> Presets:
-    """Turn settings of ARS into those of BRS: all directions, no scaling, no statistics.
-
-    The step of BRS is proportional to the returns, which are about a hundred apart; ARS divides by
-    their standard deviation. So the step size is a hundredth.
-
-    Args:
-        presets: of ARS.
-        defaults: the defaults of its settings.
-    """
-
-    def basic(changes: Changes) -> Changes:
-        settings = {**defaults, **changes}
-        return {
-            **changes,
-            "num_top_directions": settings["num_directions"],
-            "step_size": settings["step_size"] / 100.0,
-            "scale_by_std": False,
-            "normalize_observations": False,
-        }
-
-    return {
-        preset: {task: basic(changes) for task, changes in tasks.items()}
-        for preset, tasks in presets.items()
-    }

@@ -14,9 +14,10 @@ from ailsrs_jax.components import discriminator
 from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.discriminator import LOSSES, REWARDS
 from ailsrs_jax.components.sampling import sample_steps
+from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.own_code import own_function
-from ailsrs_jax.trainers.parts.reference import Reference
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference
 from ailsrs_jax.trainers.parts.settings import Entries, Positive, PositiveUpToOne, UpToOne, is_used
 
 Sampler = Callable[[jax.Array, int], jax.Array]  # draws (batch, d) inputs of the policy's steps
@@ -191,6 +192,25 @@ class Adversary:
             "state_next_state": [next_observations],
         }[self.settings.discriminator_sees]
         return jnp.concatenate([observations, *beside], axis=-1)
+
+
+def adversary_reference(demonstrations: Demonstrations, settings: Any) -> Reference:
+    """Prepare ``demonstrations`` for a learner with these ``settings``.
+
+    Raises:
+        UserError: the demonstrations do not hold what the settings need.
+    """
+    reference = make_reference(
+        demonstrations,
+        settings.episode_length,
+        settings.num_distance_samples,
+        settings.discriminator_entries,
+        settings.leave_out_beyond,
+    )
+    Adversary(settings, reference)  # checks that the demonstrations hold what it sees
+    if settings.behavior_cloning_start:
+        reference.require_actions("behavior_cloning_start")
+    return reference
 
 
 def _find(known: dict[str, Callable[..., jax.Array]], name: str) -> Callable[..., jax.Array]:

@@ -1,6 +1,5 @@
 """Steps of a stochastic policy, in environments that run on from one batch to the next."""
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -52,7 +51,7 @@ class Steps(struct.PyTreeNode):
 def begin(env: Any, key: jax.Array, num_envs: int, episode_length: int) -> RunningEnvs:
     """Start ``num_envs`` episodes of at most ``episode_length`` steps."""
     keys = jax.random.split(key, num_envs)
-    if _runs_segments(env):
+    if getattr(env, "runs_episodes", False):
         env_state = env.begin_segments(jax.vmap(env.draw_start)(keys), episode_length)
     else:
         env_state = jax.vmap(env.reset)(keys)
@@ -83,11 +82,20 @@ def collect(
         return noise, jax.random.split(reset_key, num_envs)
 
     keys = jax.random.split(key, num_steps)
-    if _runs_segments(env):
+    if getattr(env, "runs_episodes", False):  # outside of JAX
         noise, reset_keys = jax.vmap(draw)(keys)
         episodes, steps = _run_segments(env, policy, episodes, noise, reset_keys, episode_length)
         return episodes, _replace_diverged(steps)
-    restart = _make_restart(env)
+
+    # Both branches of a vmapped condition would be computed at every step.
+    @merge_vmapped_axis
+    def restart(over: jax.Array, keys: jax.Array, states: State) -> State:
+        """Reset the environments whose episode is over; compute nothing where none is."""
+
+        def reset() -> State:
+            return jax.vmap(optax.tree.where)(over, jax.vmap(env.reset)(keys), states)
+
+        return jax.lax.cond(over.any(), reset, lambda: states)
 
     def advance(episodes: RunningEnvs, key: jax.Array) -> tuple[RunningEnvs, Steps]:
         noise, reset_keys = draw(key)
@@ -109,17 +117,10 @@ def collect(
             diverged=diverged,
             copied=diverged,
         )
-
-        next_state = restart(over, reset_keys, next_state)
-        return RunningEnvs(next_state, jnp.where(over, 0, time)), steps
+        return RunningEnvs(restart(over, reset_keys, next_state), jnp.where(over, 0, time)), steps
 
     episodes, steps = jax.lax.scan(advance, episodes, keys)
     return episodes, _replace_diverged(steps)
-
-
-def _runs_segments(env: Env) -> bool:
-    """Whether ``env`` runs its episodes outside of JAX."""
-    return bool(getattr(env, "runs_episodes", False))
 
 
 def _run_segments(
@@ -158,23 +159,6 @@ def _run_segments(
         copied=segments.diverged,
     )
     return RunningEnvs(env_state, time), steps
-
-
-def _make_restart(env: Env) -> Callable[[jax.Array, jax.Array, State], State]:
-    """Return a function of ``over (S,)``, keys and states that resets the environments in question.
-
-    It computes nothing where no episode is over. Under ``jax.vmap`` the new axis is merged into the
-    environments, because both branches of a ``cond`` would be computed at every step otherwise.
-    """
-
-    @merge_vmapped_axis
-    def restart(over: jax.Array, keys: jax.Array, states: State) -> State:
-        def reset() -> State:
-            return jax.vmap(optax.tree.where)(over, jax.vmap(env.reset)(keys), states)
-
-        return jax.lax.cond(over.any(), reset, lambda: states)
-
-    return restart
 
 
 def _replace_diverged(steps: Steps) -> Steps:

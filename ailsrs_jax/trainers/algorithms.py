@@ -73,7 +73,10 @@ def make_trainer(
         missing += [x for x in (*METRICS, algorithm.kept_by) if x not in metrics]
         if missing:
             raise TypeError(f"the state or the metrics of update lack {', '.join(missing)}")
-        if jax.tree.map(_type, state) != jax.tree.map(_type, new_state):
+        before, after = (
+            jax.tree.map(lambda x: (x.shape, x.dtype), each) for each in (state, new_state)
+        )
+        if before != after:
             raise TypeError("update changes the shape or type of a part of the state")
     return trainer
 
@@ -111,7 +114,3 @@ def changed_settings(
         for name, value in sorted(settings.items())
         if name not in values or value != values[name]
     }
-
-
-def _type(leaf: jax.ShapeDtypeStruct) -> tuple[Any, ...]:
-    return leaf.shape, leaf.dtype

@@ -64,7 +64,7 @@ def expert_reference(run: SavedRun) -> Reference | None:
 def met_by(episodes: Episodes, expert: Reference) -> Met:
     """Return what is shown of the states of ``episodes``."""
     usable = np.argwhere(episodes.usable)
-    states = expert.standardize(episodes.observations[tuple(_some(usable).T)])
+    states = expert.statistics.standardize(episodes.observations[tuple(_some(usable).T)])
     stride = expert.stride
     episode_length = episodes.observations.shape[1]
     num_blocks = distance_horizon(expert.observations, stride, episode_length)

@@ -53,17 +53,13 @@ class Reference(struct.PyTreeNode):
         """``(E, T)`` bool: the step happened."""
         return jnp.arange(self.observations.shape[1]) < self.lengths[:, None]
 
-    def standardize(self, observations: jax.Array) -> jax.Array:
-        """Return observations ``(..., n)`` in units of the expert's standard deviation.
+    def compared(self, observations: jax.Array) -> jax.Array:
+        """Return the compared entries of observations ``(..., n)``, standardised.
 
         The scale is fixed, so a reward that depends on it does not drift while the policy's own
         statistics move.
         """
-        return standardize(self.statistics, observations)
-
-    def compared(self, observations: jax.Array) -> jax.Array:
-        """Return the compared entries of observations ``(..., n)``, standardised."""
-        return self.standardize(observations)[..., slice(*self.entries)]
+        return self.statistics.standardize(observations)[..., slice(*self.entries)]
 
     @property
     def compared_observations(self) -> jax.Array:
@@ -187,7 +183,7 @@ def make_reference(
     actions = demonstrations.actions
     actions = jnp.zeros((*alive.shape, 0)) if actions is None else jnp.asarray(actions)
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)
-    observations = standardize(statistics, observations)
+    observations = statistics.standardize(observations)
     compared = parse_entries(entries, observations.shape[-1])
     points = jnp.concatenate([observations[..., slice(*compared)], actions], axis=-1)
     stride = demonstrations.stride
@@ -220,11 +216,6 @@ def unlike_the_others(reference: Reference, horizon: int, times: float) -> np.nd
     distances = np.asarray(jax.lax.map(distance, (keys, points, reference.lengths)))
     # Rounding is no difference: where all episodes are the same, none is unlike the others.
     return distances > times * max(float(np.median(distances)), 1e-4 * float(spread))
-
-
-def standardize(statistics: RunningStatistics, observations: jax.Array) -> jax.Array:
-    """Return observations ``(..., n)`` in units of the standard deviation."""
-    return (observations - statistics.mean) / statistics.std
 
 
 def distance_horizon(expert_steps: jax.Array, stride: int, episode_length: int) -> int:

@@ -67,17 +67,13 @@ class Simulator:
         @merge_vmapped_axis
         def on_devices(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
             num_episodes = len(policies.mean)
-            # A batch that does not divide evenly is filled up with copies of its last episode.
-            index = jnp.minimum(
-                jnp.arange(-num_episodes % mesh.size + num_episodes), num_episodes - 1
-            )
             inputs = (policies, starts, noise)
-            if len(index) > num_episodes:
-                inputs = jax.tree.map(lambda x: x[index], inputs)
-            episodes = shared(share, mesh, specs)(*inputs)
-            if len(index) > num_episodes:
-                episodes = jax.tree.map(lambda x: x[:num_episodes] if x.ndim else x, episodes)
-            return episodes
+            if not (num_missing := -num_episodes % mesh.size):
+                return shared(share, mesh, specs)(*inputs)
+            # A batch that does not divide evenly is filled up with copies of its last episode.
+            index = jnp.minimum(jnp.arange(num_episodes + num_missing), num_episodes - 1)
+            episodes = shared(share, mesh, specs)(*jax.tree.map(lambda x: x[index], inputs))
+            return jax.tree.map(lambda x: x[:num_episodes] if x.ndim else x, episodes)
 
         def share(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
             mine = simulate(self.env, policies, starts, episode_length, self.batch_size, noise)

@@ -135,7 +135,8 @@ def _problem(value: Any, kind: Any) -> str:
         known = bounds[0]
         if isinstance(known, re.Pattern):
             return "" if known.fullmatch(value) else f"match {known.pattern}"
-        return "" if value in known or ":" in value else f"be {_either(known)}"
+        own = "a function of your own, module:attribute"
+        return "" if value in known or ":" in value else f"be {', '.join(known)} or {own}"
     if type_ is int:
         lowest = 0 if "from 0" in bounds else 1
         if value < lowest:
@@ -150,11 +151,6 @@ def _problem(value: Any, kind: Any) -> str:
     if "at least 1" in bounds and value < 1:
         return "be at least 1"
     return "be at most 1" if "at most 1" in bounds and value > 1 else ""
-
-
-def _either(names: Any) -> str:
-    """List the functions that a setting may name."""
-    return f"{', '.join(names)} or a function of your own, module:attribute"
 
 
 def _parse(name: str, text: str, kind: Any) -> Any:

@@ -16,14 +16,9 @@ def descend(
     optimizer_state: optax.OptState,
     batches: Any,
 ) -> tuple[Any, optax.OptState, Any]:
-    """Take one step of ``optimizer`` for each of ``batches``.
+    """Take one step of ``optimizer`` for each of ``batches``, arrays whose first axis is the step.
 
-    Args:
-        optimizer: an optax optimizer.
-        loss: ``loss(parameters, batch)`` gives a loss to minimise and a pytree to report.
-        parameters: where to start.
-        optimizer_state: of ``optimizer`` there.
-        batches: a pytree of arrays whose first axis is the step.
+    ``loss(parameters, batch)`` gives a loss to minimise and a pytree to report.
 
     Returns:
         Parameters and optimizer state, those from the start if new ones are not finite; and the

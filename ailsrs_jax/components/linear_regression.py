@@ -12,11 +12,9 @@ def ridge_regression(
 ) -> jax.Array:
     """Return the ``W (p, n)`` that minimises mean ‖W x − y‖² + penalty ‖W‖² over masked samples.
 
-    Args:
-        inputs: ``(..., n)`` x, standardised.
-        targets: ``(..., p)`` y.
-        mask: ``(...)`` bool, the samples that count.
-        penalty: makes the solution unique when inputs are collinear or few.
+    The ``inputs (..., n)`` x are standardised, the ``targets (..., p)`` are y, and ``mask (...)``
+    is true for samples that count. The penalty makes the solution unique when inputs are collinear
+    or few.
     """
     mask = mask.reshape(-1, 1)
     x = jnp.where(mask, inputs.reshape(-1, inputs.shape[-1]), 0.0)
@@ -32,12 +30,8 @@ def affine_regression(inputs: jax.Array, targets: jax.Array, mask: jax.Array) ->
 
     The penalty is the one of :data:`PENALTIES` with the smallest squared error in cross-validation.
     Each of five folds is one stretch of the masked samples in their order, because samples that
-    follow one another are too alike to detect overfitting.
-
-    Args:
-        inputs: ``(..., n)`` x, standardised.
-        targets: ``(..., p)`` y.
-        mask: ``(...)`` bool, the samples that count.
+    follow one another are too alike to detect overfitting. The arguments are those of
+    :func:`ridge_regression`.
     """
     x, y = (array.reshape(-1, array.shape[-1]) for array in (inputs, targets))
     mask = mask.ravel()

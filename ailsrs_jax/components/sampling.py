@@ -8,15 +8,9 @@ from flax import struct
 def sample_steps(
     key: jax.Array, lengths: jax.Array, num_samples: int
 ) -> tuple[jax.Array, jax.Array]:
-    """Draw steps uniformly, with replacement, from all live steps of episodes.
+    """Draw steps uniformly, with replacement, from the live steps of episodes of ``lengths (E,)``.
 
-    Args:
-        key: randomness.
-        lengths: ``(E,)`` int32, live steps of each episode; an episode of length 0 is never drawn.
-        num_samples: how many to draw.
-
-    Returns:
-        ``(num_samples,)`` episode indices and ``(num_samples,)`` time indices.
+    An episode of length 0 is never drawn. Returns episode and time indices, ``(num_samples,)``.
     """
     ends = jnp.cumsum(lengths)
     steps = jax.random.randint(key, (num_samples,), 0, ends[-1])
@@ -27,10 +21,7 @@ def sample_steps(
 def sample_times(key: jax.Array, lengths: jax.Array, num_each: int) -> jax.Array:
     """Draw ``(B, num_each)`` times of live steps of each episode, uniformly, with replacement.
 
-    Args:
-        key: randomness.
-        lengths: ``(B,)`` int32, live steps of each episode; where there are none, all times are 0.
-        num_each: how many to draw.
+    All times of an episode without live steps, of ``lengths (B,)``, are 0.
     """
     fractions = jax.random.uniform(key, (len(lengths), num_each))
     time = (fractions * lengths[:, None]).astype(jnp.int32)

@@ -10,7 +10,6 @@ from flax import struct
 
 from ailsrs_jax.components import normalizer
 from ailsrs_jax.components.discriminator import LOSSES
-from ailsrs_jax.components.network_clone import clone_network
 from ailsrs_jax.components.policy import KeptPolicy, keep
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
@@ -30,6 +29,7 @@ from ailsrs_jax.trainers.parts.adversary import (
     adversary_reference,
 )
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
+from ailsrs_jax.trainers.parts.network_clone import clone_network
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
@@ -98,10 +98,8 @@ class Gail(TrustRegionTrainer):
             cloned = clone_network(
                 actor_critic.actor.layers,
                 actor_critic.actor.log_std,
+                self.reference,
                 cloning_key,
-                observations=self.reference.observations,
-                actions=self.reference.actions,
-                lengths=self.reference.lengths,
                 num_steps=settings.behavior_cloning_steps,
                 learning_rate=CLONING_RATE,
             )

@@ -11,12 +11,12 @@ from flax import struct
 
 from ailsrs_jax.components import normalizer, trust_region
 from ailsrs_jax.components.descent import descend
-from ailsrs_jax.components.network_clone import draw_layers
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import Layers, MlpPolicy, perceptron, repeated
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
+from ailsrs_jax.trainers.parts.network_clone import draw_layers
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps, begin, collect
 from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_countable
 from ailsrs_jax.trainers.parts.trainer import Metrics, Trainer

@@ -114,11 +114,8 @@ class Adversary:
     ) -> tuple[AdversaryState, dict[str, jax.Array]]:
         """Take ``discriminator_steps`` of Adam; return also the metrics of the last.
 
-        Args:
-            state: before.
-            key: of the batches.
-            sample: draws inputs of the policy's steps.
-            done: which part of the training is done, from 0 to 1.
+        ``sample`` draws inputs of the policy's steps, and ``done`` is the part of the training that
+        is done, from 0 to 1.
         """
         settings, lengths = self.settings, self.num_seen(self.reference.lengths)
         penalty = settings.gradient_penalty * settings.gradient_penalty_decay**done

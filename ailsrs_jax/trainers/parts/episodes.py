@@ -84,15 +84,9 @@ class Episodes(struct.PyTreeNode):
     ) -> jax.Array:
         """Sum ``function(observations, actions, next_observations)`` over steps of each episode.
 
-        Slices of time bound the memory, and the loop stops where the last episode does.
-
-        Args:
-            function: gives a number for each step.
-            counts: ``(B,)``, how many first steps of each episode are summed over. The observation
-                after an episode's last step is not recorded; zeros stand for it.
-
-        Returns:
-            ``(B,)`` sums.
+        Of each episode, the first ``counts (B,)`` steps are summed over. Zeros stand for the
+        observation after its last step, which is not recorded. Slices of time bound the memory, and
+        the loop stops where the last episode does.
         """
         num_steps = self.observations.shape[1]
         slice_length = min(SLICE_LENGTH, num_steps)

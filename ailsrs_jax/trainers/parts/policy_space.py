@@ -8,12 +8,12 @@ import numpy as np
 import optax
 
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
-from ailsrs_jax.components.network_clone import clone_network, draw_layers
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.policy import Layers, LinearPolicy, MlpPolicy, Policy, hidden_units
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
+from ailsrs_jax.trainers.parts.network_clone import clone_network, draw_layers
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.settings import parse_entries
 
@@ -64,10 +64,8 @@ class PolicySpace:
         (weights, biases), _ = clone_network(
             draw_layers(draw_key, sizes),
             jnp.zeros(self.env.action_size),
+            self.reference.replace(observations=self.reference.observations * self._seen),
             clone_key,
-            observations=self.reference.observations * self._seen,
-            actions=self.reference.actions,
-            lengths=self.reference.lengths,
             num_steps=CLONING_STEPS,
             learning_rate=optax.cosine_decay_schedule(CLONING_RATE, CLONING_STEPS),
         )

@@ -85,12 +85,9 @@ class Reference(struct.PyTreeNode):
     ) -> Starts:
         """Draw ``(num_starts,)`` starts: the task's own resets, and states of the demonstrations.
 
-        Args:
-            env: the environment. If it cannot be put into a state, all starts are resets.
-            key: of the draws.
-            num_starts: how many.
-            demonstrated: the share of them that are demonstrated states, drawn uniformly from all.
-                A share that makes no whole number is met on average.
+        The share ``demonstrated`` of them are demonstrated states, drawn uniformly from all. A
+        share that makes no whole number is met on average. If ``env`` cannot be put into a state,
+        all starts are resets.
         """
         reset_key, step_key, share_key = jax.random.split(key, 3)
         resets = jax.random.split(reset_key, num_starts)
@@ -116,15 +113,11 @@ class Reference(struct.PyTreeNode):
         num_groups: int,
         num_samples: int,
     ) -> jax.Array:
-        """Return the energy distance of each group of ``episodes`` to the expert's.
+        """Return the energy distances ``(num_groups,)`` of groups of ``episodes`` to the expert's.
 
-        Args:
-            key: of the draws.
-            episodes: the episodes, one group after the other; the environment's reward is not used.
-                An episode that diverged counts as one that ended at once.
-            episode_length: their time limit.
-            num_groups: how many groups, all of the same size.
-            num_samples: the steps of each group that are compared.
+        The groups follow one another and have the same size; ``num_samples`` steps of each are
+        compared. The environment's reward is not used. An episode that diverged counts as one that
+        ended at once.
         """
         horizon = self.stride * distance_horizon(self.observations, self.stride, episode_length)
         points = self.points_of(episodes.observations, episodes.actions)

@@ -31,14 +31,9 @@ def generalized_advantages(
     V(s_{t+1}) counts as 0 for a terminal state. The sum ends where an episode is over, in a
     terminal state or at its time limit.
 
-    Args:
-        rewards: ``(T, ...)`` r.
-        values: ``(T, ...)`` V(s_t).
-        next_values: ``(T, ...)`` V(s_{t+1}), of the next state of the same episode.
-        terminated: ``(T, ...)`` bool, whether that state is terminal.
-        over: ``(T, ...)`` bool, whether the episode ended there.
-        discount: γ.
-        decay: λ.
+    All arrays are ``(T, ...)``. ``next_values`` are those of the next state of the same episode,
+    ``terminated`` says whether that state is terminal, and ``over`` whether the episode ended
+    there. γ is ``discount``, and λ ``decay``.
     """
     errors = rewards + discount * jnp.where(terminated, 0.0, next_values) - values
 
@@ -98,7 +93,7 @@ def trust_region_step(
     parameters stay.
 
     Args:
-        parameters: θ, any pytree.
+        parameters: any pytree.
         gain: the function of the parameters to maximise; g is its gradient.
         divergence: of other parameters from ``parameters``.
         curvature: the divergence estimated from fewer samples; F is its Hessian.

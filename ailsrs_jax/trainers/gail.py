@@ -120,6 +120,7 @@ class Gail(TrustRegionTrainer):
         policy = self.policy(state.actor_critic)
         evaluation, evaluated = self.evaluate(policy, evaluation_key)
         distance = self.reference.distance(distance_key, evaluation, settings.episode_length)
+        evaluated["expert_distance"] = distance
         done = jnp.minimum(state.iteration / max(settings.num_iterations - 1, 1), 1.0)
         (actor_critic, running, adversary), metrics = jax.lax.scan(
             functools.partial(self._take_turns, done),
@@ -134,7 +135,6 @@ class Gail(TrustRegionTrainer):
             key=key,
             iteration=state.iteration + 1,
         )
-        evaluated["expert_distance"] = distance
         return state, with_evaluation(over_updates(metrics), evaluated)
 
     @property
@@ -154,11 +154,10 @@ class Gail(TrustRegionTrainer):
             return self.adversary.rewards(adversary, self._inputs(steps))
 
         def improve_policy(carry: Carry, key: jax.Array) -> tuple[Carry, tuple[Metrics, jax.Array]]:
-            merges = self.settings.standardize_with == "running"
             carry, steps, metrics = self.collect_and_improve(
-                carry, rewards, key, merges_states=merges
+                carry, rewards, key, merges_states=self.settings.standardize_with == "running"
             )
-            metrics = metrics | {"imitation_reward": rewards(steps).mean()}
+            metrics["imitation_reward"] = rewards(steps).mean()
             return carry, (metrics, self._inputs(steps))
 
         (actor_critic, running), (metrics, inputs) = jax.lax.scan(

@@ -42,21 +42,18 @@ def together(fingerprint: int = 0) -> Iterator[None]:
         yield
     except UserError as error:
         problem = error
-    if jax.process_count() > 1:
-        mine = np.array([fingerprint, problem is not None])
-        prints, failed = multihost_utils.process_allgather(mine).T
-        if problem is None and failed.any():
-            problem = UserError("another process of this run has failed")
-        elif problem is None and len(set(prints.tolist())) > 1:
-            problem = UserError("the processes have different commands or demonstrations")
+    mine = np.array([fingerprint, problem is not None])
+    prints, failed = multihost_utils.process_allgather(mine).T
     if problem is not None:
         raise problem
+    if failed.any():
+        raise UserError("another process of this run has failed")
+    if len(set(prints.tolist())) > 1:
+        raise UserError("the processes have different commands or demonstrations")
 
 
 def as_the_first_says(numbers: Sequence[int], most: int) -> list[int]:
     """Return the first process's ``numbers``: at most ``most``, none of them negative."""
-    if jax.process_count() == 1:
-        return list(numbers)
     mine = np.full(most, -1)
     mine[: len(numbers)] = numbers
     first = multihost_utils.broadcast_one_to_all(mine)
@@ -65,6 +62,4 @@ def as_the_first_says(numbers: Sequence[int], most: int) -> list[int]:
 
 def anywhere(flag: bool) -> bool:
     """Tell whether ``flag`` is set in any process of the run."""
-    if jax.process_count() == 1:
-        return flag
     return bool(multihost_utils.process_allgather(np.array(flag)).any())

@@ -35,15 +35,13 @@ def iterate(
     """
     if start == num_iterations or finished(state).all():
         return
-    started = time.perf_counter()
-    # Compiled ahead of time, which times it separately and rules out compiling again later.
-    jitted = jax.jit(jax.vmap(update), out_shardings=place)
-    compiled = jitted.lower(state, *arguments).compile(compiler_options=compiler_options)
-    compile_seconds = time.perf_counter() - started
+    program, compile_seconds = compiled(
+        jax.vmap(update), state, *arguments, place=place, options=compiler_options
+    )
     for iteration in range(start, num_iterations):
         started = time.perf_counter()
         with host_errors():
-            state, device_metrics = compiled(state, *arguments)
+            state, device_metrics = program(state, *arguments)
             metrics = {name: np.asarray(values) for name, values in device_metrics.items()}
         is_over = bool(finished(state).all())
         seconds = time.perf_counter() - started
@@ -63,6 +61,23 @@ def iterate(
         )
         if is_over:
             return
+
+
+def compiled(
+    function: Callable[..., Any],
+    *arguments: Any,
+    place: jax.sharding.Sharding | None = None,
+    options: dict[str, str | bool] | None = None,
+) -> tuple[Callable[..., Any], float]:
+    """Compile ``function`` for ``arguments``; return the program and the seconds it took.
+
+    Ahead of time, which times it separately and rules out compiling again later. Its results lie at
+    ``place``, and XLA has the ``options``.
+    """
+    started = time.perf_counter()
+    jitted = jax.jit(function, out_shardings=place)
+    program = jitted.lower(*arguments).compile(compiler_options=options)
+    return program, time.perf_counter() - started
 
 
 def finished(state: Any) -> np.ndarray:

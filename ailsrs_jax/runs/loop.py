@@ -51,16 +51,16 @@ class _Run:
             resume = (self._output / "config.json").exists()
         return claimed(self._output, self._plan.config, resume=resume)
 
-    def begin(self, progress: Progress, track: str | None) -> Journal | None:
-        """Open the journal, which only the first process has."""
+    def begin(self, progress: Progress, track: str | None, stack: ExitStack) -> None:
+        """Open the journal, which only the first process has, until ``stack`` closes it."""
         if self._output is None or not is_first_process():
-            return None
+            return
         num_done, steps = self._num_done(progress), self._part(progress["steps"])
-        self._journal = Journal(self._output, self._plan.config, num_done, steps, track)
+        journal = Journal(self._output, self._plan.config, num_done, steps, track)
+        self._journal = stack.enter_context(closing(journal))
         if num_done > 0:
             self.problem = earlier_divergence(self._output / "metrics.csv")
             self.save(progress)
-        return self._journal
 
     def is_finished(self, progress: Progress) -> bool:
         """Tell whether no iteration of this run is left."""
@@ -68,14 +68,10 @@ class _Run:
         num_iterations: int = self._plan.config.settings.num_iterations
         return self._num_done(progress) == num_iterations or bool(self._of_lane(over).all())
 
-    def note(self, report: IterationReport) -> None:
-        """Remember if most episodes of this run diverged."""
-        self.problem = self.problem or self._part_of(report).divergence
-
     def append(self, report: IterationReport, progress: Progress, *, to_disk: bool) -> None:
         """Append an iteration to the journal, which led to ``progress``."""
         if self._journal is not None:
-            self._journal.append(self._part_of(report), to_disk=to_disk)
+            self._journal.append(self.part_of(report), to_disk=to_disk)
             iteration = self._num_done(progress) - 1
             if iteration in MILESTONES:
                 offered = self._part(progress["state"].kept.offered)
@@ -123,7 +119,7 @@ class _Run:
     def _of_lane(self, x: Any) -> Any:
         return x if self._lane is None else x[self._lane : self._lane + 1]
 
-    def _part_of(self, report: IterationReport) -> IterationReport:
+    def part_of(self, report: IterationReport) -> IterationReport:
         """Return the metrics of this run, with an equal share of the time of all runs."""
         if self._lane is None:
             return report
@@ -159,9 +155,8 @@ def execute(
         checkpoints: the directory of the shared checkpoints of several runs. A stack resumes from
             it only with the same runs in the same order.
         resume: go on from the newest checkpoint; ``"where begun"``: wherever there is a run.
-        checkpoint_every: save the state every so many iterations. With None, it is every ten, with
-            a rest after each: a second, or nine times as long as saving has stopped the training.
-        track: a tracker that receives the metrics; see :mod:`~ailsrs_jax.runs.storage.trackers`.
+        checkpoint_every: see :func:`~ailsrs_jax.runs.run.train`.
+        track: see there.
         watch: called after every iteration, with the metrics of all lanes.
         stop: called after every iteration, and during one that MuJoCo's C engine simulates; if it
             returns true, the state is saved and KeyboardInterrupt is raised.
@@ -216,8 +211,7 @@ def execute(
                     found |= {"versions": installed_versions()}  # config.json has been compared
                     plans[0].config.require_same(found, checkpoints)
                 for run in runs:
-                    if (journal := run.begin(progress, track)) is not None:
-                        stack.enter_context(closing(journal))
+                    run.begin(progress, track, stack)
 
         def save_all() -> None:
             if saver is not None:
@@ -241,7 +235,7 @@ def execute(
                 stopping = anywhere(stop()) and not report.is_last
                 going = [run for run in runs if not run.is_finished(progress)]
                 for run in going:
-                    run.note(report)
+                    run.problem = run.problem or run.part_of(report).divergence
                 failed = all(run.problem is not None for run in runs)
                 num_done = report.iteration
                 if not failed:

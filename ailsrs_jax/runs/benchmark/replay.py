@@ -1,7 +1,6 @@
 """Bare physics: replay the actions of episodes, without policies, observations or rewards."""
 
 import concurrent.futures
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from ailsrs_jax.envs.physics import InitialState, PhysicsState
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.runs.iterations import compiled
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.sharing import shared
 
@@ -84,19 +84,3 @@ def _full_states(starts: InitialState) -> np.ndarray:
 def _controls(env: MujocoTask, actions: np.ndarray) -> np.ndarray:
     """The controls of every physics step."""
     return np.repeat(actions, env.physics.frame_skip, axis=1).astype(float)
-
-
-def compiled(
-    function: Callable[..., Any],
-    *arguments: Any,
-    place: jax.sharding.Sharding | None = None,
-    options: dict[str, str | bool] | None = None,
-) -> tuple[Callable[..., Any], float]:
-    """Compile ``function`` for ``arguments``; return the program and the seconds it took.
-
-    Its results lie at ``place``, and XLA has the ``options``, as in training.
-    """
-    started = time.perf_counter()
-    jitted = jax.jit(function, out_shardings=place)
-    program = jitted.lower(*arguments).compile(compiler_options=options)
-    return program, time.perf_counter() - started

@@ -23,9 +23,10 @@ from ailsrs_jax.envs.registry import TASKS, make_env
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.runs.benchmark import peers
-from ailsrs_jax.runs.benchmark.replay import bare, compiled, limit
+from ailsrs_jax.runs.benchmark.replay import bare, limit
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.devices import choose_simulator, compiler_options, set_up_jax
+from ailsrs_jax.runs.iterations import compiled
 from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.parts.rollout import Simulator

@@ -26,7 +26,6 @@ EVERY = 10  # iterations from a checkpoint to the next, if no rest is needed
 PAUSE = 1.0  # shortest rest after a checkpoint [s]
 SHARE = 0.1  # largest share of the time in which saving may stop the training
 KEEP = 2  # so that one is complete while another is written
-LISTED = 8  # checkpoints that the processes of a run compare
 HASHES = "SHA256SUMS"  # in the format of the program sha256sum
 OVERHEAD = 2**18  # bytes of a checkpoint beside its arrays
 
@@ -47,7 +46,8 @@ class Checkpoints:
     The state after N iterations is in the directory ``N``. Orbax writes it under a temporary name
     and renames it, and then we add the hashes of its files, which mark it as complete. A process
     that is killed therefore leaves a complete checkpoint or none. The hashes also detect damage by
-    the disk, which Orbax would partly accept.
+    the disk, which Orbax would partly accept. The methods raise UserError if this checkpoint or the
+    previous one cannot be written.
     """
 
     def __init__(
@@ -56,11 +56,7 @@ class Checkpoints:
         """Keep the newest checkpoints under ``directory``, one every ``save_every`` iterations.
 
         With None, it is every ten iterations that are not within the rest after a checkpoint, see
-        :meth:`rest`.
-        ``about`` are values that JSON can hold, which are saved with every checkpoint.
-
-        Raises:
-            UserError: the directory cannot be written.
+        :meth:`rest`. ``about`` are values that JSON can hold, saved with every checkpoint.
         """
         self._directory = directory.absolute()
         self._save_every, self._resting_until = save_every, 0.0
@@ -113,11 +109,7 @@ class Checkpoints:
         self._resting_until = now + max(PAUSE, (1 / SHARE - 1) * (now - began))
 
     def save(self, num_done: int, state: Any) -> None:
-        """Copy the state after ``num_done`` iterations, and write it in the background.
-
-        Raises:
-            UserError: this checkpoint or the previous one cannot be written.
-        """
+        """Copy the state after ``num_done`` iterations, and write it in the background."""
         if num_done == self._newest:
             return
         self._finish_writing()
@@ -147,8 +139,7 @@ class Checkpoints:
         """
         problems: dict[int, Exception] = {}
         restored = Restored(0, like, {})
-        complete = sorted(self._complete(), reverse=True)
-        for num_done in as_the_first_says(complete[:LISTED], LISTED):
+        for num_done in as_the_first_says(sorted(self._complete(), reverse=True)):
             problem = self._problem(num_done, like)
             if not anywhere(problem is not None):
                 try:
@@ -164,15 +155,12 @@ class Checkpoints:
                 "over"
             )
         if problems and is_first_process():
-            damaged = " and ".join(map(str, problems))
             logger.warning(
                 "checkpoint %s in %s is damaged: resuming from %d",
-                damaged,
-                self._directory,
-                restored.num_done,
+                *(" and ".join(map(str, problems)), self._directory, restored.num_done),
             )
         newer = [step for step in self._manager.all_steps() if step > restored.num_done]
-        for num_done in as_the_first_says(newer[:LISTED], LISTED):
+        for num_done in as_the_first_says(newer):
             self._manager.delete(num_done)
         self._newest = restored.num_done or None
         return restored

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from flax.traverse_util import flatten_dict
+
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import read_json_object, write_json
@@ -19,7 +21,6 @@ VERSIONED_PACKAGES = (
     *("ailsrs_jax", "jax", "jaxlib", "mujoco", "gymnasium", "numpy"),
     *("optax", "flax", "brax"),
 )
-
 MOST_DIFFERENCES = 8  # listed in an error message
 
 
@@ -50,7 +51,7 @@ class RunConfig:
         demonstrations does not count, because their content does.
         """
         require_current(saved, where)
-        mine = _flatten(self.as_json() | {"source": {}})
+        mine = flatten_dict(self.as_json() | {"source": {}}, sep=".")
         differences = [
             f"{name} is {reprlib.repr(value)}, was {reprlib.repr(_at(saved, name))}"
             for name, value in mine.items()
@@ -116,14 +117,8 @@ def require_seed(seed: int) -> None:
         raise UserError(f"seed is {seed}: it must be from 0 to {2**31 - 1}")
 
 
-def _flatten(tree: Any, prefix: str = "") -> dict[str, Any]:
-    if not isinstance(tree, dict):
-        return {prefix.removesuffix("."): tree}
-    return {k: v for key in tree for k, v in _flatten(tree[key], f"{prefix}{key}.").items()}
-
-
 def _at(tree: Any, name: str) -> Any:
-    """Return the value that ``_flatten`` would call ``name``, without flattening a deep tree."""
+    """Return the value that ``flatten_dict`` would call ``name``; a strange tree may be deep."""
     for key in name.split("."):
         tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree

@@ -20,7 +20,6 @@ from ailsrs_jax.trainers.algorithms import find_algorithm
 from ailsrs_jax.trainers.parts.reference import verdict
 
 RESULT_FILE = "result.json"
-SECONDS_COLUMNS = ("iteration", "seconds", "compile_seconds")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +40,8 @@ class Journal:
     The records are ``metrics.csv``, ``seconds.csv``, TensorBoard's event files and a tracker; only
     the two tables can fail. The times have a table of their own because a repeated run gives the
     same ``metrics.csv`` to the last bit. Compilation counts in the row of the iteration after it.
+
+    All methods raise UserError if a table, a policy or ``result.json`` cannot be written.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Journal:
         """Drop all rows after ``num_done`` iterations, when each seed had simulated ``steps``.
 
         Raises:
-            UserError: a table lacks rows, or cannot be written.
+            UserError: a table lacks rows.
         """
         done = range(num_done)
         keys = [(iteration, seed) for iteration in done for seed in config.seeds]
@@ -70,11 +71,7 @@ class Journal:
         self._tracker = Tracker(track, directory) if track is not None else None
 
     def append(self, report: IterationReport, *, to_disk: bool = False) -> None:
-        """Append an iteration; with ``to_disk``, wait until it would survive a loss of power.
-
-        Raises:
-            UserError: a table cannot be written.
-        """
+        """Append an iteration; with ``to_disk``, wait until it would survive a loss of power."""
         rows = [
             (report.iteration, seed, *(values[index] for values in report.metrics.values()))
             for index, seed in enumerate(self._config.seeds)
@@ -82,19 +79,16 @@ class Journal:
         self._metrics.append(("iteration", "seed", *report.metrics), rows, to_disk=to_disk)
         compiling = 0.0 if self._has_compiled else report.compile_seconds or 0.0
         self._has_compiled = True
-        times = (report.iteration, report.seconds, compiling)
-        self._times.append(SECONDS_COLUMNS, [times], to_disk=to_disk)
+        columns = "iteration", "seconds", "compile_seconds"
+        times = report.iteration, report.seconds, compiling
+        self._times.append(columns, [times], to_disk=to_disk)
         self._seconds += report.seconds + compiling
         self._events.append(report, to_disk=to_disk)
         if self._tracker is not None:
             self._tracker.append(report)
 
     def save_evaluated(self, iteration: int, policies: Policy) -> None:
-        """Write the ``policies`` that this iteration has evaluated, with an axis for all seeds.
-
-        Raises:
-            UserError: they cannot be written.
-        """
+        """Write the ``policies`` that this iteration has evaluated, with an axis for all seeds."""
         for seed, policy in by_seed(policies, self._config).items():
             policy.save(self._directory / f"seed_{seed}" / EVALUATED / f"{iteration}.npz")
 
@@ -103,11 +97,7 @@ class Journal:
     ) -> None:
         """Write the kept policies and ``result.json``.
 
-        ``steps`` are the live steps of each seed. ``command`` makes the run again, if there is such
-        a command line.
-
-        Raises:
-            UserError: they cannot be written.
+        ``steps`` are the live steps of each seed. ``command`` makes the run again, if there is one.
         """
         expert = None
         if result.expert_returns is not None:

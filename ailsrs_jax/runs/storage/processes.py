@@ -9,6 +9,8 @@ from jax.experimental import multihost_utils
 
 from ailsrs_jax.errors import UserError
 
+LISTED = 8  # numbers that the processes tell one another, such as those of checkpoints
+
 
 def join_processes() -> None:
     """Join the other processes of a SLURM, Open MPI, Kubernetes or Cloud TPU job.
@@ -52,10 +54,10 @@ def together(fingerprint: int = 0) -> Iterator[None]:
         raise UserError("the processes have different commands or demonstrations")
 
 
-def as_the_first_says(numbers: Sequence[int], most: int) -> list[int]:
-    """Return the first process's ``numbers``: at most ``most``, none of them negative."""
-    mine = np.full(most, -1)
-    mine[: len(numbers)] = numbers
+def as_the_first_says(numbers: Sequence[int]) -> list[int]:
+    """Return the first ``LISTED`` of the first process's ``numbers``, none of them negative."""
+    mine = np.full(LISTED, -1)
+    mine[: len(numbers)] = numbers[:LISTED]
     first = multihost_utils.broadcast_one_to_all(mine)
     return [int(number) for number in first if number >= 0]
 

@@ -1,5 +1,6 @@
 """A run as it is on disk, finished or not."""
 
+import contextlib
 import dataclasses
 import math
 import reprlib
@@ -105,12 +106,10 @@ class SavedRun:
         """Return the settings that differ from the preset; all, if the preset is unknown."""
         config = self.config
         if not is_own(config["algorithm"]):
-            try:
+            with contextlib.suppress(UserError):  # there is no such preset any more
                 return changed_settings(
                     config["env_id"], config["preset"], config["algorithm"], config["settings"]
                 )
-            except UserError:  # there is no such preset any more
-                pass
         return dict(sorted(config["settings"].items()))
 
 

@@ -69,18 +69,12 @@ class UnitActions(Wrapper):
 
 
 def unit_policy(
-    env: Env,
-    normalizer: Any,
-    layers: Sequence[Mapping[str, jax.Array]],
-    action_std: jax.Array,
+    env: Env, normalizer: Any, layers: Sequence[Mapping[str, jax.Array]], action_std: jax.Array
 ) -> MlpPolicy:
     """Convert a policy that Brax trained on ``UnitActions(env)`` to one for ``env``.
 
-    Args:
-        env: the environment.
-        normalizer: Brax's running statistics of observations.
-        layers: the ``kernel (in, out)`` and ``bias (out,)`` of each layer.
-        action_std: standard deviation ``(p,)`` of the Gaussian, for actions from −1 to 1.
+    ``normalizer`` holds the statistics of observations. Each layer has a ``kernel (in, out)`` and a
+    ``bias (out,)``. ``action_std (p,)`` is that of the Gaussian, for actions from −1 to 1.
     """
     middle, half_range = _stretch(env)
     weights, biases = zip(*((layer["kernel"].T, layer["bias"]) for layer in layers), strict=True)

@@ -1,7 +1,6 @@
 """Brax's evolution strategy, for tasks on which PPO finds no good expert."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -47,16 +46,9 @@ def train_by_evolution(
     """Train a policy on the reward of ``env``, by the ranks of whole episodes' returns.
 
     An evolution strategy (Salimans et al., 2017) does not discount rewards. On Swimmer a stroke
-    pays off so late that PPO reaches only half of the return.
-
-    Args:
-        env: the environment.
-        settings: the settings.
-        seed: random seed.
-        watch: called with a report after each part of the training.
-
-    Returns:
-        The last policy, because Brax returns no earlier one, and its return.
+    pays off so late that PPO reaches only half of the return. ``watch`` is called after each part
+    of the training. The result is the last policy, because Brax returns no earlier one, and its
+    return.
     """
     progress = Progress(settings.num_evaluations)
 
@@ -70,6 +62,18 @@ def train_by_evolution(
         with progress.report(num_steps, measured) as report:
             watch(report)
 
+    def network(
+        observation_size: int, action_size: int, preprocess_observations_fn: Callable[..., Any]
+    ) -> networks.ESNetworks:
+        policy_network = make_policy_network(
+            action_size,
+            observation_size,
+            preprocess_observations_fn=preprocess_observations_fn,
+            hidden_layer_sizes=(settings.hidden_size,) * 2,
+            activation=jnp.tanh,
+        )
+        return networks.ESNetworks(policy_network, _Deterministic())
+
     _, (normalizer, parameters), metrics = train.train(
         **shared_arguments(env, settings, seed),
         num_eval_envs=settings.num_evaluation_episodes,
@@ -77,28 +81,9 @@ def train_by_evolution(
         population_size=settings.num_directions,
         perturbation_std=settings.noise_std,
         fitness_shaping=train.FitnessShaping.CENTERED_RANK,
-        network_factory=functools.partial(_network, settings.hidden_size),
+        network_factory=network,
         progress_fn=evaluated,
     )
-    hidden = parameters["params"]
-    layers = [hidden[f"hidden_{i}"] for i in range(len(hidden))]
+    layers = [parameters["params"][f"hidden_{i}"] for i in range(3)]
     policy = unit_policy(env, normalizer, layers, jnp.zeros(env.action_size))
     return policy, float(metrics["eval/episode_reward"])
-
-
-def _network(
-    hidden_size: int,
-    observation_size: int,
-    action_size: int,
-    preprocess_observations_fn: Callable[..., jax.Array],
-) -> networks.ESNetworks:
-    return networks.ESNetworks(
-        policy_network=make_policy_network(
-            action_size,
-            observation_size,
-            preprocess_observations_fn=preprocess_observations_fn,
-            hidden_layer_sizes=(hidden_size,) * 2,
-            activation=jnp.tanh,
-        ),
-        parametric_action_distribution=_Deterministic(),
-    )

@@ -79,12 +79,8 @@ def train_ppo(
 ) -> None:
     """Train a Gaussian policy on the reward of ``env``.
 
-    Args:
-        env: the environment.
-        settings: the settings.
-        seed: random seed.
-        consider: called after each part of the training with a report, the mean of the Gaussian
-            policy, and its score. The policy with the highest score is the best.
+    ``consider`` is called after each part of the training with a report, the mean of the Gaussian
+    policy, and its score. The policy with the highest score is the best.
 
     Raises:
         UserError: num_envs is not a multiple of num_minibatches.
@@ -150,6 +146,5 @@ def train_ppo(
 def _policy(env: Env, parameters: Any) -> MlpPolicy:
     normalizer, policy, *_ = parameters
     network = policy["params"]
-    hidden = network["MLP_0"]
-    layers = [*(hidden[f"hidden_{i}"] for i in range(len(hidden))), network["Dense_0"]]
+    layers = *(network["MLP_0"][f"hidden_{i}"] for i in range(2)), network["Dense_0"]
     return unit_policy(env, normalizer, layers, jnp.exp(network["std_logparam"]["log_value"]))

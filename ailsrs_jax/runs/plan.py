@@ -23,6 +23,8 @@ from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override
 from ailsrs_jax.trainers.parts.trainer import Trainer
 
+ONLY_TO_IMITATE = "demonstrations", "num_trajectories", "draw_from", "subsample", "states_only"
+
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
@@ -76,7 +78,7 @@ def plan(spec: RunSpec) -> Plan:
     data = TrainingData()
     if algorithm.imitates:
         data = read_training_data(spec, env, env_id, engine)
-    elif _asks_for_demonstrations(spec):
+    elif any(getattr(spec, name) != getattr(RunSpec, name) for name in ONLY_TO_IMITATE):
         raise UserError(
             f"{spec.algorithm} learns from the environment's reward: leave out demonstrations, "
             "num_trajectories, draw_from, subsample and states_only"
@@ -96,21 +98,8 @@ def plan(spec: RunSpec) -> Plan:
         demonstrations_sha256=data.sha256,
         subsample=data.subsample,
     )
-    simulator = Simulator(env)
-    if algorithm.shares_devices:
-        simulator = choose_simulator(env, batch_size)
-    return Plan(
-        spec=_resolved(spec, config, limit),
-        config=config,
-        simulator=simulator,
-        data=data,
-        physics_reason=reason,
-    )
-
-
-def _asks_for_demonstrations(spec: RunSpec) -> bool:
-    names = "demonstrations", "num_trajectories", "draw_from", "subsample", "states_only"
-    return any(getattr(spec, name) != getattr(RunSpec, name) for name in names)
+    simulator = choose_simulator(env, batch_size) if algorithm.shares_devices else Simulator(env)
+    return Plan(_resolved(spec, config, limit), config, simulator, data, reason)
 
 
 def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:

@@ -78,9 +78,6 @@ def _pad(reference: Reference, num_episodes: int) -> Reference:
         missing = num_episodes - len(reference.lengths)
         return jnp.pad(array, [(0, missing)] + [(0, 0)] * (array.ndim - 1))
 
-    padded: Reference = reference.replace(
-        observations=pad(reference.observations),
-        actions=pad(reference.actions),
-        lengths=pad(reference.lengths),
-    )
+    names = "observations", "actions", "lengths"
+    padded: Reference = reference.replace(**{name: pad(getattr(reference, name)) for name in names})
     return padded

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.linear_regression import affine_regression, ridge_regression
-from ailsrs_jax.components.policy import Policy
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range, starts_at_observations
@@ -18,8 +17,9 @@ from ailsrs_jax.trainers.ailsrs import make_ailsrs
 from ailsrs_jax.trainers.algorithms import preset_settings
 from ailsrs_jax.trainers.gail import make_gail
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference, unlike_the_others
-from ailsrs_jax.trainers.parts.rollout import as_simulator
+from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import override
+from ailsrs_jax.trainers.parts.trainer import Trainer
 
 NUM_PAIRS = 200  # steps that are simulated again
 NUM_EPISODES = 10  # of each clone
@@ -192,24 +192,20 @@ def _reference(demonstrations: Demonstrations) -> Reference:
 
 def _clones(demonstrations: Demonstrations, env: Env) -> dict[str, float]:
     """Return the mean environment return of a linear and of a neural clone."""
-    simulator, length = as_simulator(env), demonstrations.time_limit
-    common = {"behavior_cloning_start": True, "standardize_with": "expert"}
-    common |= {"episode_length": length}
-    linear_settings = override(preset_settings("", "paper", "ailsrs"), common | {"intercept": True})
-    neural_settings = override(preset_settings("", "paper", "gail"), common)
-    linear = make_ailsrs(simulator, demonstrations, linear_settings)
-    neural = make_gail(simulator, demonstrations, neural_settings)
+    simulator, length = Simulator(env), demonstrations.time_limit
+    changes = {"behavior_cloning_start": True, "standardize_with": "expert"}
+    changes |= {"episode_length": length}
+    linear = override(preset_settings("", "paper", "ailsrs"), changes | {"intercept": True})
+    neural = override(preset_settings("", "paper", "gail"), changes)
+    init_key, key = jax.random.key(0), jax.random.key(1)
 
-    def evaluate(policy: Policy) -> float:
-        key = jax.random.key(1)
+    def evaluate(trainer: Trainer) -> float:
+        policy = jax.jit(lambda: trainer.init(init_key).kept.policy)()
+        run = jax.jit(lambda policy: simulator.evaluate(policy, key, NUM_EPISODES, length))
         with host_errors():
-            episodes = jax.jit(
-                lambda policy: simulator.evaluate(policy, key, NUM_EPISODES, length)
-            )(policy)
-            return float(np.nanmean(np.asarray(episodes.env_returns)))
+            return float(np.nanmean(np.asarray(run(policy).env_returns)))
 
-    key = jax.random.key(0)
     return {
-        "linear_clone_return": evaluate(jax.jit(lambda: linear.init(key).kept.policy)()),
-        "neural_clone_return": evaluate(jax.jit(lambda: neural.init(key).kept.policy)()),
+        "linear_clone_return": evaluate(make_ailsrs(simulator, demonstrations, linear)),
+        "neural_clone_return": evaluate(make_gail(simulator, demonstrations, neural)),
     }

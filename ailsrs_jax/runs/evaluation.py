@@ -19,7 +19,7 @@ from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.rollout import Starts, simulate
+from ailsrs_jax.trainers.parts.rollout import simulate
 
 logger = logging.getLogger(__name__)
 
@@ -146,9 +146,8 @@ def evaluate_random(env_id: str, physics: str, episode_length: int) -> Evaluatio
     noise_key, reset_key = jax.random.split(jax.random.key(0))
     shape = num_episodes, episode_length, len(low)
     noise = jax.random.uniform(noise_key, shape, minval=low, maxval=high)
-    starts: Starts | None = _resets(env, 0, num_episodes)
-    if starts is None:
-        starts = jax.random.split(reset_key, num_episodes)
+    resets = _resets(env, 0, num_episodes)
+    starts = jax.random.split(reset_key, num_episodes) if resets is None else resets
     policies = repeated(still, num_episodes)
     with host_errors():
         run = jax.jit(lambda: simulate(env, policies, starts, episode_length, noise=noise))

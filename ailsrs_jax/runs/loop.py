@@ -8,7 +8,7 @@ they are trained.
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,13 +43,6 @@ class _Run:
         self.problem: UserError | None = None  # most episodes of an iteration diverged
         self._plan, self._output, self._lane = plan, output, lane
         self._journal: Journal | None = None
-
-    def claim(self, resume: bool | Literal["where begun"]) -> AbstractContextManager[None]:
-        """Lock the run directory while the context lasts."""
-        assert self._output is not None
-        if resume == "where begun":
-            resume = (self._output / "config.json").exists()
-        return claimed(self._output, self._plan.config, resume=resume)
 
     def begin(self, progress: Progress, track: str | None, stack: ExitStack) -> None:
         """Open the journal, which only the first process has, until ``stack`` closes it."""
@@ -193,10 +186,10 @@ def execute(
         return new_state, metrics
 
     with ExitStack() as stack:
-        if outputs[0] is not None:
+        if directories := [output for output in outputs if output is not None]:
             with together(plans[0].config.fingerprint()):
-                for run in runs:
-                    stack.enter_context(run.claim(resume))
+                for plan, directory in zip(plans, directories, strict=True):
+                    stack.enter_context(claimed(directory, plan.config, resume=resume))
         seeds = np.array([seed for plan in plans for seed in plan.config.seeds], np.int32)
         place = plans[0].simulator.everywhere
         state = jax.jit(jax.vmap(init), out_shardings=place)(seeds, arguments)

@@ -1,10 +1,10 @@
 """Brax's evolution strategy, for tasks on which PPO finds no good expert."""
 
 import dataclasses
+import types
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from brax.training.agents.es import networks, train
 from brax.training.networks import make_policy_network
@@ -30,14 +30,8 @@ class EvolutionSettings:
     hidden_size: int = 64  #: tanh units in each of two layers
 
 
-class _Deterministic:
-    """A distribution without noise: the strategy perturbs the weights, not the actions."""
-
-    def sample(self, output: jax.Array, _: jax.Array) -> jax.Array:
-        return output
-
-    def mode(self, output: jax.Array) -> jax.Array:
-        return output
+# A distribution without noise, because the strategy perturbs the weights, not the actions.
+DETERMINISTIC = types.SimpleNamespace(sample=lambda output, _: output, mode=lambda output: output)
 
 
 def train_by_evolution(
@@ -72,7 +66,7 @@ def train_by_evolution(
             hidden_layer_sizes=(settings.hidden_size,) * 2,
             activation=jnp.tanh,
         )
-        return networks.ESNetworks(policy_network, _Deterministic())
+        return networks.ESNetworks(policy_network, DETERMINISTIC)
 
     _, (normalizer, parameters), metrics = train.train(
         **shared_arguments(env, settings, seed),

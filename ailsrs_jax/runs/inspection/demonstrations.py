@@ -49,7 +49,7 @@ def inspect_demonstrations(demonstrations: Demonstrations, env: Env) -> Inspecti
         "every": demonstrations.stride,
         "sets_states": starts_at_observations(env),
     }
-    problems = [*_problems_of_episodes(demonstrations), *_problems_of_entries(demonstrations)]
+    problems = _problems(demonstrations)
     every_step = facts["sets_states"] and demonstrations.stride == 1
     facts["actions_inferred"] = every_step and demonstrations.actions is None
     if facts["actions_inferred"]:
@@ -119,24 +119,19 @@ def _pairs(demonstrations: Demonstrations) -> tuple[np.ndarray, np.ndarray, np.n
     episode, time = np.nonzero(alive[:, :-1] & alive[:, 1:])
     chosen = np.unique(np.linspace(0, max(len(time) - 1, 0), NUM_PAIRS).astype(int))[: len(time)]
     episode, time = episode[chosen], time[chosen]
-    observations, actions = (
-        np.asarray(x) for x in (demonstrations.observations, demonstrations.actions)
-    )
+    observations, actions = map(np.asarray, (demonstrations.observations, demonstrations.actions))
     return observations[episode, time], actions[episode, time], observations[episode, time + 1]
 
 
-def _problems_of_episodes(demonstrations: Demonstrations) -> list[str]:
+def _problems(demonstrations: Demonstrations) -> list[str]:
+    """Return what is odd about single episodes and single entries of the observation."""
+    problems = []
     time_steps = demonstrations.observations.shape[1]
-    unlike = unlike_the_others(_reference(demonstrations), time_steps, UNLIKE)
-    if not unlike.any():
-        return []
-    return [f"episodes are unlike most, maybe falls: {_listed(np.flatnonzero(unlike))}"]
-
-
-def _problems_of_entries(demonstrations: Demonstrations) -> list[str]:
+    unlike = np.flatnonzero(unlike_the_others(_reference(demonstrations), time_steps, UNLIKE))
+    if len(unlike):
+        problems.append(f"episodes are unlike most, maybe falls: {_listed(unlike)}")
     steps = np.asarray(demonstrations.observations)[np.asarray(demonstrations.alive)]
     spread = steps.std(axis=0)
-    problems = []
     constant = np.flatnonzero(spread < 1e-6)
     if len(constant):
         problems.append(f"entries of the observation are constant: {_listed(constant)}")

@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 from ailsrs_jax.errors import InUseError, UserError, os_errors
 from ailsrs_jax.files import PARTIAL
@@ -19,7 +20,9 @@ logger = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
+def claimed(
+    path: Path, config: RunConfig, *, resume: bool | Literal["where begun"]
+) -> Iterator[None]:
     """Lock the run directory ``path``, and write its ``config.json`` if the run is new.
 
     The operating system releases the lock when the process ends, however it ends.
@@ -28,6 +31,8 @@ def claimed(path: Path, config: RunConfig, *, resume: bool) -> Iterator[None]:
         UserError: another process writes there, it holds another run, or it cannot be written.
     """
     config_path = path / "config.json"
+    if resume == "where begun":
+        resume = config_path.exists()
     if resume:
         try:
             saved = read_config(config_path)

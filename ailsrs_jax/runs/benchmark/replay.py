@@ -21,9 +21,9 @@ def bare(
 ) -> tuple[Callable[[], Any], float]:
     """Return a program that replays ``actions (B, T, p)``, and how long it took to compile."""
     env = simulator.env
-    initial = jax.jit(jax.vmap(env.start))(starts).pipeline_state
     if env.physics.name == "mujoco":
         return _bare_mujoco(env, starts, actions), 0.0
+    initial = jax.jit(jax.vmap(env.start))(starts).pipeline_state
 
     def share(state: PhysicsState, actions: jax.Array) -> jax.Array:
         step, live = jax.vmap(env.physics.step, (0, 0, None)), jax.numpy.array(True)

@@ -1,6 +1,7 @@
 """What Brax's trainers share: arguments, actions from −1 to 1, and reports on their progress."""
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -32,31 +33,30 @@ def shared_arguments(env: Env, settings: Any, seed: int) -> dict[str, Any]:
     }
 
 
+@dataclasses.dataclass
 class Progress:
     """Counts and times the parts of a training, one for each evaluation."""
 
-    def __init__(self, num_iterations: int) -> None:
-        """Begin to time the first of ``num_iterations`` parts."""
-        self.iteration = 0
-        self._num_iterations = num_iterations
-        self._num_steps = 0
-        self._started = time.perf_counter()
+    num_iterations: int
+    iteration: int = 0
+    num_steps: int = 0
+    started: float = dataclasses.field(default_factory=time.perf_counter)
 
     @contextlib.contextmanager
     def report(self, num_steps: int, metrics: dict[str, Any]) -> Iterator[IterationReport]:
         """Report the part that ends after ``num_steps`` steps in all, then begin the next part."""
         metrics = metrics | {"env_steps": num_steps}
-        seconds = time.perf_counter() - self._started
+        seconds = time.perf_counter() - self.started
         yield IterationReport(
             iteration=self.iteration,
-            num_iterations=self._num_iterations,
+            num_iterations=self.num_iterations,
             metrics={name: np.array([value]) for name, value in metrics.items()},
             seconds=seconds,
-            env_steps_per_second=(num_steps - self._num_steps) / seconds,
+            env_steps_per_second=(num_steps - self.num_steps) / seconds,
             compile_seconds=None,  # Brax compiles during the first part
         )
-        self.iteration, self._num_steps = self.iteration + 1, num_steps
-        self._started = time.perf_counter()
+        self.iteration, self.num_steps = self.iteration + 1, num_steps
+        self.started = time.perf_counter()
 
 
 class UnitActions(Wrapper):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ailsrs_jax.errors import UserError, one_line, os_errors
+from ailsrs_jax.errors import UserError, os_errors, refusing
 from ailsrs_jax.files import require_file, write_atomically
 
 
@@ -91,11 +91,8 @@ def read_rows(path: Path) -> list[list[str]]:
         UserError: it cannot be read, or is empty.
     """
     require_file(path)
-    try:
-        with path.open(newline="") as file:  # str.splitlines would split inside of quotes
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"cannot read {path}: {one_line(error)}") from error
+    with refusing(f"cannot read {path}"), path.open(newline="") as file:
+        rows = list(csv.reader(file))  # str.splitlines would split inside of quotes
     if not rows:
         raise UserError(f"{path} is empty")
     return rows

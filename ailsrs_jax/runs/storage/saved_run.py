@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ailsrs_jax.data.sources import Source, parse_source
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.files import read_json_object, require_name
 from ailsrs_jax.own_code import is_own
 from ailsrs_jax.runs.storage.config import read_config, require_current, require_seed
@@ -127,7 +127,7 @@ def read_run(directory: Path) -> SavedRun:
     metrics = _read_metrics(directory / "metrics.csv", config)
     path = directory / RESULT_FILE
     result = read_json_object(path, "the result of a run")
-    try:
+    with refusing(f"{path} is not the result of a run"):
         command, expert = result["command"], result["expert_return"]
         kept = {int(seed): each["kept_iteration"] for seed, each in result["seeds"].items()}
         mean = None if expert is None else expert["mean"]
@@ -143,8 +143,6 @@ def read_run(directory: Path) -> SavedRun:
             not command.startswith("ailsrs train ") or shlex.join(shlex.split(command)) != command
         ):
             raise ValueError("command")
-    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise UserError(f"{path} is not the result of a run: {one_line(error)}") from error
     return SavedRun(directory, config, metrics, source, command, mean, length, kept)
 
 

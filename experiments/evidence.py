@@ -5,8 +5,8 @@ fewer hold. A check needs every seed that the sweep was asked for; until then th
 run*.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,7 @@ class NotRunError(Exception):
     """A check needs results that do not exist yet; the message names them."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """One comparison."""
 
     where: str
@@ -40,20 +39,7 @@ class Check:
     holds: bool
 
 
-@dataclasses.dataclass(frozen=True)
-class Claim:
-    """One claim of the paper."""
-
-    section: str
-    text: str
-    paper: str  # the figure that the paper gives, if any
-    rule: str
-    sweep: str  # the sweep whose results decide
-    checks: "Checks"
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """The verdict on a claim."""
 
     ours: str
@@ -91,13 +77,15 @@ class Evidence:
             raise NotRunError(f"{what}: {len(group.cells)} seeds")
         return group
 
-    def seconds(self, groups: Sequence[Group], sweep: str = FIGURE_2) -> list[np.ndarray]:
+    def seconds(self, groups: Sequence[Group]) -> list[np.ndarray]:
         """Return the seconds of each seed of each group to 90 % of the expert, NaN if never.
+
+        The groups are of Figure 2.
 
         Raises:
             NotRunError: the times are missing or were measured on different hardware.
         """
-        timings = self._results[sweep].timings
+        timings = self._results[FIGURE_2].timings
         names = [[cell.cell for cell in group.cells] for group in groups]
         hardware = {timings[name].hardware for each in names for name in each if name in timings}
         if len(hardware) != 1 or any(name not in timings for each in names for name in each):
@@ -117,6 +105,16 @@ class Evidence:
 Checks = Callable[[Evidence], Iterable[Check]]
 
 
+class Claim(NamedTuple):
+    """One claim of the paper."""
+
+    text: str
+    rule: str
+    checks: Checks
+    sweep: str = FIGURE_2  # the sweep whose results decide
+    paper: str = ""  # the figure that the paper gives, if any
+
+
 def judge(claim: Claim, evidence: Evidence) -> Finding:
     """Apply the rule of the claim."""
     try:
@@ -127,11 +125,11 @@ def judge(claim: Claim, evidence: Evidence) -> Finding:
     verdict = (
         "reproduced" if held == len(checks) else "partly" if 2 * held >= len(checks) else "not"
     )
-    shown = checks if len(checks) <= 4 else [check for check in checks if not check.holds]
-    parts = [
-        " ".join(filter(None, (check.where, check.value, "" if check.holds else "✗")))
-        for check in shown
+    many = len(checks) > 4
+    parts = [f"{held} of {len(checks)} hold"] if many else []
+    parts += [
+        " ".join(filter(None, (where, value, "" if holds else "✗")))
+        for where, value, holds in checks
+        if not (many and holds)
     ]
-    if len(checks) > 4:
-        parts.insert(0, f"{held} of {len(checks)} hold")
     return Finding("; ".join(parts), verdict)

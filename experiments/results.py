@@ -14,7 +14,6 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -193,26 +192,21 @@ def read_all(directory: Path) -> dict[str, SweepResults]:
 def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
     """Return the text of RESULTS.md for the results in ``directory``."""
     evidence = Evidence(sweeps)
-    findings = [judge(claim, evidence) for claim in CLAIMS]
-    counts = Counter(finding.verdict for finding in findings)
-    summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    parts = [INTRODUCTION, f"**{len(CLAIMS)} claims: {summary}.**", "## Origin of the results"]
-    parts += [_origins(sweeps, directory), "## The experts", _experts(evidence)]
-    rows = zip(CLAIMS, findings, strict=True)
-    for section, mine in groupby(rows, key=lambda row: row[0].section):
+    counts: Counter[str] = Counter()
+    sections = []
+    for section, claims in CLAIMS.items():
+        rows = []
+        for claim in claims:
+            ours, verdict = judge(claim, evidence)
+            counts[verdict] += 1
+            sweep = f"[{claim.sweep}](#{claim.sweep})" if claim.sweep in sweeps else claim.sweep
+            paper = claim.paper or "no figure"
+            rows.append([claim.text, paper, ours, claim.rule, sweep, f"**{verdict}**"])
         header = ["claim", "paper", "ours", "rule", "sweep", "verdict"]
-        table = [
-            [
-                claim.text,
-                claim.paper or "no figure",
-                found.ours,
-                claim.rule,
-                f"[{claim.sweep}](#{claim.sweep})" if claim.sweep in sweeps else claim.sweep,
-                f"**{found.verdict}**",
-            ]
-            for claim, found in mine
-        ]
-        parts += [f"## {section}", markdown_table(header, table)]
+        sections += [f"## {section}", markdown_table(header, rows)]
+    summary = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    parts = [INTRODUCTION, f"**{counts.total()} claims: {summary}.**", "## Origin of the results"]
+    parts += [_origins(sweeps, directory), "## The experts", _experts(evidence), *sections]
     parts += ["## Linear or neural experts", READINGS, _readings(evidence)]
     untested = [list(item) for item in UNTESTED.items()]
     parts += ["## Not tested", markdown_table(["claim", "why"], untested)]

@@ -4,8 +4,10 @@ A rule is a function that turns results into checks. ``claims.py`` states it in 
 ``evidence.py`` turns the checks into a verdict.
 """
 
-import dataclasses
+import functools
+import itertools
 from collections.abc import Callable, Iterable, Sequence
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 
@@ -31,6 +33,20 @@ from experiments.evidence import (
     Checks,
     Evidence,
 )
+
+Options = ParamSpec("Options")
+
+
+def _rule(
+    rule: Callable[Concatenate[Evidence, Options], Iterable[Check]],
+) -> Callable[Options, Checks]:
+    """Turn a rule with options into a function of the options, which returns the rule."""
+
+    @functools.wraps(rule)
+    def chosen(*args: Options.args, **kwargs: Options.kwargs) -> Checks:
+        return lambda evidence: rule(evidence, *args, **kwargs)
+
+    return chosen
 
 
 def short(task: str) -> str:
@@ -58,114 +74,104 @@ def largest_fall(curve: np.ndarray) -> float:
     return float((np.maximum.accumulate(curve) - curve).max())
 
 
+@_rule
 def reaches(
-    label: str, tasks: Sequence[str], numbers: Sequence[int | None], sweep: str = FIGURE_2
-) -> Checks:
+    evidence: Evidence,
+    label: str,
+    tasks: Sequence[str],
+    numbers: Sequence[int | None] = (None,),
+    sweep: str = FIGURE_2,
+) -> Iterable[Check]:
     """Check that the mean normalised return of the kept policies is at least 0.9."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        for task in tasks:
-            for number in numbers:
-                group = evidence.group(label, task, number, sweep)
-                value = plus_minus(group.values("normalized"), 3)
-                yield Check(_where(task, number), value, score(group) >= REACHED)
-
-    return checks
+    for task, number in itertools.product(tasks, numbers):
+        group = evidence.group(label, task, number, sweep)
+        value = plus_minus(group.values("normalized"), 3)
+        yield Check(_where(task, number), value, score(group) >= REACHED)
 
 
+@_rule
 def compared(
+    evidence: Evidence,
     measure: Callable[[Group], float],
     label: str,
     other: str,
     tasks: Sequence[str],
     *,
     higher: bool,
-    sweep: str = FIGURE_2,
-    numbers: Sequence[int | None] = NUMBERS,
-) -> Checks:
+) -> Iterable[Check]:
     """Check that a measure of ``label`` is above that of ``other``, or at most as large."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        for task in tasks:
-            for number in numbers:
-                mine, theirs = (
-                    measure(evidence.group(name, task, number, sweep)) for name in (label, other)
-                )
-                sign = ">" if mine > theirs else "≤"
-                holds = mine > theirs if higher else mine <= theirs
-                yield Check(_where(task, number), f"{mine:.3f} {sign} {theirs:.3f}", holds)
-
-    return checks
+    for task, number in itertools.product(tasks, NUMBERS):
+        mine, theirs = (measure(evidence.group(name, task, number)) for name in (label, other))
+        sign = ">" if mine > theirs else "≤"
+        holds = mine > theirs if higher else mine <= theirs
+        yield Check(_where(task, number), f"{mine:.3f} {sign} {theirs:.3f}", holds)
 
 
-def cloned_to(task: str, number: int, paper_return: float) -> Checks:
+@_rule
+def cloned_to(evidence: Evidence, task: str, number: int, paper_return: float) -> Iterable[Check]:
     """Check that BC's share of the expert's return is within 0.1 of the paper's."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        group = evidence.group("BC", task, number)
-        paper, ours = paper_return / PAPER_EXPERTS[task], share(group)
-        value = f"{plus_minus(group.values('return_mean'))}, {ours:.2f} of the expert"
-        yield Check("", value, abs(ours - paper) <= 0.1)
-
-    return checks
+    group = evidence.group("BC", task, number)
+    paper, ours = paper_return / PAPER_EXPERTS[task], share(group)
+    value = f"{plus_minus(group.values('return_mean'))}, {ours:.2f} of the expert"
+    yield Check("", value, abs(ours - paper) <= 0.1)
 
 
-def cloning_rises(task: str) -> Checks:
+@_rule
+def cloning_rises(evidence: Evidence, task: str) -> Iterable[Check]:
     """Check that BC's mean return rises with each further ten demonstrations."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        means = [evidence.group("BC", task, n).values("return_mean").mean() for n in NUMBERS]
-        for number, before, after in zip(NUMBERS[1:], means, means[1:]):
-            yield Check(f"{number}:", f"{before:.0f} → {after:.0f}", after > before)
-
-    return checks
+    means = [evidence.group("BC", task, n).values("return_mean").mean() for n in NUMBERS]
+    for number, before, after in zip(NUMBERS[1:], means, means[1:]):
+        yield Check(f"{number}:", f"{before:.0f} → {after:.0f}", after > before)
 
 
-def curves_reach(task: str, numbers_of_seeds: Sequence[int]) -> Checks:
+@_rule
+def curves_reach(evidence: Evidence, task: str, numbers_of_seeds: Sequence[int]) -> Iterable[Check]:
     """Check that the smoothed mean training curve reaches 0.9."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        group = evidence.group("AILSRS", task, sweep=FIGURE_3)
-        for number in numbers_of_seeds:
-            peak = evidence.curve(group, number, FIGURE_3).max()
-            yield Check(f"{number} seed{'s' * (number > 1)}:", f"{peak:.2f}", peak >= REACHED)
-
-    return checks
+    group = evidence.group("AILSRS", task, sweep=FIGURE_3)
+    for number in numbers_of_seeds:
+        peak = evidence.curve(group, number, FIGURE_3).max()
+        yield Check(f"{number} seed{'s' * (number > 1)}:", f"{peak:.2f}", peak >= REACHED)
 
 
-def above_the_expert(label: str, task: str) -> Checks:
+@_rule
+def above_the_expert(evidence: Evidence, label: str, task: str) -> Iterable[Check]:
     """Check that the mean return is above the expert's from 20, 30 and 40 demonstrations."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        for number in NUMBERS[1:]:
-            group = evidence.group(label, task, number)
-            value = f"{plus_minus(group.values('return_mean'))}, {share(group):.2f} of the expert"
-            yield Check(f"{number}:", value, share(group) > 1)
-
-    return checks
+    for number in NUMBERS[1:]:
+        group = evidence.group(label, task, number)
+        value = f"{plus_minus(group.values('return_mean'))}, {share(group):.2f} of the expert"
+        yield Check(f"{number}:", value, share(group) > 1)
 
 
-def within_five_percent(label: str) -> Checks:
+@_rule
+def within_five_percent(evidence: Evidence, label: str) -> Iterable[Check]:
     """Check that the mean return on Walker2d is within 5 % of the expert's, as in the paper."""
-
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        for number in NUMBERS:
-            ours = share(evidence.group(label, WALKER, number))
-            yield Check(f"{number}:", f"{ours:.2f}", abs(ours - 1) <= 51.05 / 1021)
-
-    return checks
+    for number in NUMBERS:
+        ours = share(evidence.group(label, WALKER, number))
+        yield Check(f"{number}:", f"{ours:.2f}", abs(ours - 1) <= 51.05 / 1021)
 
 
-def every_seed_reaches(label: str, tasks: Sequence[str], numbers: Sequence[int]) -> Checks:
+@_rule
+def every_seed_reaches(
+    evidence: Evidence, label: str, tasks: Sequence[str], numbers: Sequence[int]
+) -> Iterable[Check]:
     """Check that the normalised return of each seed is at least 0.9."""
+    for task, number in itertools.product(tasks, numbers):
+        worst = evidence.group(label, task, number).values("normalized").min()
+        yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
 
-    def checks(evidence: Evidence) -> Iterable[Check]:
-        for task in tasks:
-            for number in numbers:
-                worst = evidence.group(label, task, number).values("normalized").min()
-                yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
 
-    return checks
+@_rule
+def _few_and_many(
+    evidence: Evidence, label: str, holds: Callable[[float, float], bool]
+) -> Iterable[Check]:
+    """Compare the mean normalised returns from ten and from forty demonstrations."""
+    for task in TASKS:
+        few, many = (score(evidence.group(label, task, n)) for n in (FEWEST, MOST))
+        yield Check(short(task), f"{few:.2f}, {many:.2f}", holds(few, many))
+
+
+few_are_enough = _few_and_many("AILSRS", lambda few, many: few >= max(REACHED, many - 0.05))
+cloning_needs_data = _few_and_many("BC", lambda few, many: few < REACHED and many >= few + 0.1)
 
 
 def competitive(evidence: Evidence) -> Iterable[Check]:
@@ -184,24 +190,16 @@ def competitive(evidence: Evidence) -> Iterable[Check]:
 def all_six(evidence: Evidence) -> Iterable[Check]:
     """AILSRS reaches 0.9 on all six locomotion tasks of Gym."""
     yield from reaches("AILSRS", TASKS, [MOST])(evidence)
-    yield from reaches("AILSRS", HARD_TASKS, [None], HARD)(evidence)
+    yield from reaches("AILSRS", HARD_TASKS, sweep=HARD)(evidence)
 
 
 def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:
     """AILSRS reaches 0.9 neither on Ant nor on Humanoid."""
     for task in HARD_TASKS:
-        (check,) = reaches("AILSRS", [task], [None], HARD)(evidence)
-        steps = np.median(evidence.group("AILSRS", task, sweep=HARD).values("env_steps"))
-        value = f"{check.value} after {_steps(float(steps))} steps"
-        yield dataclasses.replace(check, value=value, holds=not check.holds)
-
-
-def few_are_enough(evidence: Evidence) -> Iterable[Check]:
-    """AILSRS reaches 0.9 from ten demonstrations and is at most 0.05 better from forty."""
-    for task in TASKS:
-        few, many = (score(evidence.group("AILSRS", task, n)) for n in (FEWEST, MOST))
-        enough = few >= max(REACHED, many - 0.05)
-        yield Check(short(task), f"{few:.2f}, {many:.2f}", enough)
+        group = evidence.group("AILSRS", task, sweep=HARD)
+        steps = _steps(float(np.median(group.values("env_steps"))))
+        value = f"{plus_minus(group.values('normalized'), 3)} after {steps} steps"
+        yield Check(_where(task, None), value, score(group) < REACHED)
 
 
 def faster_than_gail(evidence: Evidence) -> Iterable[Check]:
@@ -218,14 +216,6 @@ def gail_needs_more_interaction(evidence: Evidence) -> Iterable[Check]:
         groups = [evidence.group(label, task, FEWEST) for label in ("GAIL", "AILSRS")]
         theirs, ours = (median_reached(group.values("steps_to_90"))[0] for group in groups)
         yield Check(short(task), f"{_steps(theirs)} against {_steps(ours)}", theirs > ours)
-
-
-def cloning_needs_data(evidence: Evidence) -> Iterable[Check]:
-    """BC is below 0.9 from ten demonstrations and at least 0.1 better from forty."""
-    for task in TASKS:
-        few, many = (score(evidence.group("BC", task, n)) for n in (FEWEST, MOST))
-        needs = few < REACHED and many >= few + 0.1
-        yield Check(short(task), f"{few:.2f}, {many:.2f}", needs)
 
 
 def cloned_start_is_faster(evidence: Evidence) -> Iterable[Check]:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.files import read_json_object, write_json
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
@@ -104,15 +104,11 @@ def load_sweep(path: Path) -> Sweep:
         UserError: the file is missing, damaged, or not of a sweep.
     """
     fields = read_json_object(path, "a sweep", MAX_SWEEP_BYTES)
-    try:
+    with refusing(f"{path} is not a sweep of this version, or damaged"):
         cells = tuple(map(_load_cell, fields["cells"]))
         if len({cell.name for cell in cells}) < len(cells) or type(fields["episodes"]) is not int:
             raise ValueError("a name is there twice, or episodes is not a number")
-        return Sweep(cells, fields["episodes"])
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{path} is not a sweep of this version, or damaged: {one_line(error)}"
-        ) from error
+    return Sweep(cells, fields["episodes"])
 
 
 def _load_cell(fields: dict[str, Any]) -> Cell:

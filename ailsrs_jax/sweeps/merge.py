@@ -32,12 +32,11 @@ def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[Tabl
         grid.require_same(source / SWEEP_FILE)
     grid.save(output / SWEEP_FILE)
     unfinished = {cell.name for cell in grid.cells if not is_done(output, cell)}
-    for stack, members in begun_stacks(output):
-        if unfinished.intersection(members):
-            raise UserError(
-                f"{stack} holds cells that are trained together: let them finish, or delete it to "
-                "train them anew, and then merge"
-            )
+    for stack in begun_stacks(output, unfinished):
+        raise UserError(
+            f"{stack} holds cells that are trained together: let them finish, or delete it to "
+            "train them anew, and then merge"
+        )
     for source in (first, *others):
         for cell in grid.cells:
             name = Path("cells", cell.name)

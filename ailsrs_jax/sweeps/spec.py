@@ -12,7 +12,7 @@ from typing import Any
 
 from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import require_harmless
-from ailsrs_jax.errors import UserError, did_you_mean, one_line
+from ailsrs_jax.errors import UserError, did_you_mean, refusing, requirement
 from ailsrs_jax.files import read_small
 from ailsrs_jax.own_code import require_allowed
 from ailsrs_jax.runs.plan import plan
@@ -37,6 +37,12 @@ AXES: dict[str, type] = {
     "states_only": bool,
     "seeds": int,
 }
+EXPECTED: dict[type | None, str] = {  # in messages; None stands for a setting
+    str: "text",
+    int: "a whole number",
+    bool: "true or false",
+    None: "a number, true, false or text",
+}
 KEYS = (*AXES, "settings", "label")
 COMMON_KEYS = (*KEYS, "grid", "episodes")
 EPISODES = 100  # in Gymnasium's environment, for each kept policy
@@ -53,22 +59,16 @@ def read_spec(path: Path) -> dict[str, Any]:
         UserError: the file is not TOML, or names code that the user has not named; see
             :func:`~ailsrs_jax.own_code.allow`.
     """
-    try:
+    with refusing(f"{path} is not TOML"):
         spec = tomllib.loads(read_small(path).decode())
-    except UserError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not TOML: {one_line(error)}") from error
     entries = spec.get("grid")
+    checks = {"env": require_harmless, "algorithm": require_allowed, "settings": require_allowed}
     # Values of the wrong type are left to expand().
     for table in (spec, *(entries if isinstance(entries, list) else ())):
-        if isinstance(table, dict):
-            for name in _leaves(table.get("env")):
+        for key, check in checks.items() if isinstance(table, dict) else ():
+            for name in _leaves(table.get(key)):
                 if isinstance(name, str):
-                    require_harmless(name, str(path), "--own")
-            for name in _leaves([table.get("algorithm"), table.get("settings")]):
-                if isinstance(name, str):
-                    require_allowed(name, str(path), "--own")
+                    check(name, str(path), "--own")
     return spec
 
 
@@ -116,30 +116,27 @@ def expand(spec: Mapping[str, Any]) -> Sweep:
 
 
 def _expand_entry(where: str, common: dict[str, Any], entry: Any) -> Iterator[Cell]:
-    if not isinstance(entry, dict):
-        raise UserError(f"{where}: it must be a table, [[grid]]")
+    require = requirement(where)
+    require(isinstance(entry, dict), "it must be a table, [[grid]]")
     _require_keys(where, entry, KEYS)
     given = {"seeds": 0} | common | entry
-    if given.get("env") is None:
-        raise UserError(f"{where}: there is no env")
+    require(given.get("env") is not None, "there is no env")
     label = given.get("label")
-    if not (label is None or isinstance(label, str)):
-        raise UserError(f"{where}: label is {label!r}: it must be one text for the whole entry")
-    if label is not None and not (label.isprintable() and 0 < len(label) <= MAX_LABEL):
-        raise UserError(
-            f"{where}: label is {label!r}: it must have 1 to {MAX_LABEL} printable characters"
-        )
+    if label is not None:
+        problem = f"label is {label!r}: it must"
+        require(isinstance(label, str), f"{problem} be one text for the whole entry")
+        is_plain = label.isprintable() and 0 < len(label) <= MAX_LABEL
+        require(is_plain, f"{problem} have 1 to {MAX_LABEL} printable characters")
     settings: dict[str, Any] = {}
     for table in (common.get("settings", {}), entry.get("settings", {})):
-        if not isinstance(table, dict):
-            raise UserError(f"{where}: settings is {table!r}: it must be a table")
+        require(isinstance(table, dict), f"settings is {table!r}: it must be a table")
         settings |= table
     seeds = _values(where, "seeds", given["seeds"])
     options = [key for key in AXES if given.get(key) is not None and key != "seeds"]
     axes = [_values(where, key, given[key]) for key in options]
     axes += [_values(where, f"settings.{name}", value) for name, value in settings.items()]
-    if math.prod(map(len, axes)) * len(seeds) > MAX_CELLS:
-        raise UserError(f"{where}: it stands for more than {MAX_CELLS:,} cells")
+    number = math.prod(map(len, axes)) * len(seeds)
+    require(number <= MAX_CELLS, f"it stands for more than {MAX_CELLS:,} cells")
     for values in itertools.product(*axes):
         point = dict(zip(options, values))
         changes = dict(zip(settings, values[len(options) :]))
@@ -215,16 +212,13 @@ def _require_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) 
 
 def _values(where: str, key: str, value: Any) -> list[Any]:
     """Return ``value`` as a list of different values of the right type."""
+    require = requirement(where)
     values = value if isinstance(value, list) else [value]
-    if not values:
-        raise UserError(f"{where}: {key} is an empty list")
+    require(bool(values), f"{key} is an empty list")
     kind = AXES.get(key)
     for each in values:
-        if kind is None and not isinstance(each, bool | int | float | str):
-            raise UserError(f"{where}: {key} is {each!r}: it must be a number, true, false or text")
-        if kind is not None and type(each) is not kind:
-            expected = {str: "text", bool: "true or false"}.get(kind, "a whole number")
-            raise UserError(f"{where}: {key} is {each!r}: it must be {expected}")
-    if len(set(map(str, values))) < len(values):
-        raise UserError(f"{where}: {key} holds the same value twice: {value}")
+        fits = isinstance(each, bool | int | float | str) if kind is None else type(each) is kind
+        require(fits, f"{key} is {each!r}: it must be {EXPECTED[kind]}")
+    differ = len(set(map(str, values))) == len(values)
+    require(differ, f"{key} holds the same value twice: {value}")
     return values

@@ -1,7 +1,7 @@
 """Stacks: cells of a sweep that are trained as one program and share a checkpoint until the end."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ailsrs_jax.files import read_json_object, write_json
@@ -17,10 +17,9 @@ def stack_directory(output: Path, unit: Sequence[Cell]) -> Path:
     return output / "stacks" / hashlib.sha256(names.encode()).hexdigest()[:16]
 
 
-def begun_stacks(output: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Yield the directory of each unfinished stack of a sweep, and the names of its cells."""
-    for directory in (output / "stacks").glob("*"):
-        yield directory, _members(directory)
+def begun_stacks(output: Path, names: set[str]) -> list[Path]:
+    """Return the directories of the unfinished stacks that have any of the cells ``names``."""
+    return [path for path in (output / "stacks").glob("*") if names.intersection(_members(path))]
 
 
 def _members(stack: Path) -> list[str]:

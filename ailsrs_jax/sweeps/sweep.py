@@ -223,11 +223,11 @@ def run_unit(
             )
         except Exception as error:  # of any kind, because the other cells can still be trained
             outcomes = [error] * len(group)
-        for cell, outcome in zip(group, outcomes, strict=True):
+        for cell, directory, outcome in zip(group, directories, outcomes, strict=True):
             if cell in waiting:
                 if stop():  # an evaluation takes time
                     raise KeyboardInterrupt
-                row = _finish(cell, outcome, output / "cells" / cell.name, episodes)
+                row = _finish(cell, outcome, directory, episodes)
                 if watch is not None:
                     watch.end(row)
     if not pending([unit], output):
@@ -256,8 +256,8 @@ def require_same_stacks(units: Sequence[Unit], output: Path) -> None:
     """
     mine = {stack_directory(output, unit) for unit in units}
     names = {cell.name for unit in units for cell in unit}
-    for directory, members in begun_stacks(output):
-        if directory not in mine and names.intersection(members):
+    for directory in begun_stacks(output, names):
+        if directory not in mine:
             raise UserError(
                 f"{directory} holds cells that are trained together, begun with another "
                 "--max-parallel: use that one again, or delete the directory to train them anew"

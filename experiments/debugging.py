@@ -49,7 +49,6 @@ def main() -> None:
     for axis in rows[1]:
         axis.set_xlabel("iteration")
     rows[1, 0].legend(frameon=False, fontsize=8, loc="center")
-    PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE, dpi=110, metadata={"Software": None})
 
 

@@ -8,7 +8,6 @@ demonstrations for the preset ``tuned``. A score of 0 is the return of noise or 
 whichever is better, and 1 the controller's. Results of other tasks stay in the file.
 """
 
-import functools
 import json
 import sys
 import time
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import ailsrs_jax as ail
+from ailsrs_jax.show.sweep_report import markdown_table
 
 RESULTS = Path(__file__).with_suffix(".json")
 SEEDS = [0, 1, 2]
@@ -56,9 +56,8 @@ def lunar_lander(observation: np.ndarray) -> np.ndarray:
     """Do as Gymnasium's own heuristic."""
     from gymnasium.envs.box2d.lunar_lander import heuristic
 
-    return np.array(
-        heuristic(SimpleNamespace(unwrapped=SimpleNamespace(continuous=True)), observation)
-    )
+    env = SimpleNamespace(unwrapped=SimpleNamespace(continuous=True))
+    return np.array(heuristic(env, observation))
 
 
 def cartpole(observation: np.ndarray) -> np.ndarray:
@@ -117,53 +116,40 @@ def main() -> None:
     for name in sys.argv[1:] or TASKS:
         row = measure(TASKS[name])
         results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-        results[name] = row
-        RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+        RESULTS.write_text(json.dumps(results | {name: row}, indent=1) + "\n")
     print(table())
 
 
 def table() -> str:
     """Return the results as Markdown."""
-    lines = [
-        "| environment | no action | noise | controller | AILSRS, each seed | score |",
-        "|---|---|---|---|---|---|",
-    ]
     results = json.loads(RESULTS.read_text())
-    for name in [name for name in TASKS if name in results]:
-        row = results[name]
-        env = row["env"].removeprefix("gymnasium:")
+    lines, reasons = [], []
+    for name in (name for name in TASKS if name in results):
+        row, env = results[name], f"`{TASKS[name].env.removeprefix('gymnasium:')}`"
         numbers = (row["at_rest"], row["noise"], row["controller"], *row["returns"])
         rest, noise, controller, *returns = (f"{number:.1f}" for number in numbers)
-        score = f"{row['score']:.2f}"
-        lines.append(
-            f"| `{env}` | {rest} | {noise} | {controller} | {', '.join(returns)} | {score} |"
-        )
-    reasons = [
-        f"- `{row['env'].removeprefix('gymnasium:')}`: {TASKS[name].reason}."
-        for name, row in results.items()
-        if row["score"] < 0.9 and TASKS[name].reason
-    ]
-    return "\n".join(
-        [*lines, "", "Where the score is below 0.9, the controller is not linear:", "", *reasons]
-    )
+        lines.append([env, rest, noise, controller, ", ".join(returns), f"{row['score']:.2f}"])
+        if row["score"] < 0.9 and TASKS[name].reason:
+            reasons.append(f"- {env}: {TASKS[name].reason}.")
+    header = ["environment", "no action", "noise", "controller", "AILSRS, each seed", "score"]
+    explanation = "Where the score is below 0.9, the controller is not linear:"
+    return "\n".join([markdown_table(header, lines), "", explanation, "", *reasons])
 
 
 def measure(task: Task) -> dict[str, Any]:
     """Demonstrate, train, evaluate."""
     controller = task.controller
     if isinstance(controller, dict):
-        search = ail.train(task.env, algorithm="ars", **controller)
-        controller = search.policies[0]
+        controller = ail.train(task.env, algorithm="ars", **controller).policies[0]
     demonstrations = ail.demonstrate(controller, NUM_DEMONSTRATIONS, env=task.env)
     started = time.time()
     run = ail.train(task.env, demonstrations, seeds=SEEDS, **task.settings)
     seconds = time.time() - started
-    still = functools.partial(np.zeros, demonstrations.actions.shape[2])
-    at_rest, noise = (mean_return(task.env, lambda _: still(), size) for size in (0.0, NOISE))
+    size = demonstrations.actions.shape[2]
+    at_rest, noise = (mean_return(task.env, lambda _: np.zeros(size), x) for x in (0.0, NOISE))
     best = mean_return(task.env, controller)
     returns = [mean_return(task.env, run.policies[seed]) for seed in SEEDS]
     zero = max(at_rest, noise)
-    score = (np.mean(returns) - zero) / (best - zero)
     return {
         "env": task.env,
         "seeds": SEEDS,
@@ -174,7 +160,7 @@ def measure(task: Task) -> dict[str, Any]:
         "noise": noise,
         "controller": best,
         "returns": returns,
-        "score": float(score),
+        "score": float((np.mean(returns) - zero) / (best - zero)),
         "seconds": round(seconds),
     }
 

@@ -15,29 +15,27 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from ailsrs_jax.runs.storage.metrics import read_rows
-from ailsrs_jax.sweeps.results import read_results
+from ailsrs_jax.sweeps.results import read_results, read_table
 
 
 def main() -> None:
     """Print one row for each cell."""
     directory = Path(sys.argv[1])
-    kept_by_distance = {
+    kept_iterations = {
         cell.cell: cell.kept_iteration
         for cell in read_results(directory).done
         if cell.algorithm in ("ailsrs", "gail")
     }
-    header, *rows = read_rows(directory / "curves.csv")
-    name, *wanted = map(header.index, ("cell", "iteration", "evaluation_return", "expert_distance"))
+    wanted = ("iteration", "evaluation_return", "expert_distance")
     curves = defaultdict(list)
-    for row in rows:
-        if row[name] in kept_by_distance:
-            curves[row[name]].append([float(row[column]) for column in wanted])
+    for _, row in read_table(directory / "curves.csv", wanted):
+        if row["cell"] in kept_iterations:
+            curves[row["cell"]].append([float(row[column]) for column in wanted])
     print("| cell | kept | last | best | Spearman |")
     print("|---|---|---|---|---|")
     for cell, curve in curves.items():
         iterations, returns, distances = np.array(curve).T
-        (kept,) = returns[iterations == kept_by_distance[cell]]
+        (kept,) = returns[iterations == kept_iterations[cell]]
         rank = stats.spearmanr(distances, returns).statistic if len(returns) > 1 else np.nan
         print(f"| {cell} | {kept:.0f} | {returns[-1]:.0f} | {returns.max():.0f} | {rank:.2f} |")
 

@@ -26,7 +26,7 @@ from ailsrs_jax.show.sweep_report import (
     report_sweep,
 )
 from ailsrs_jax.sweeps.cells import load_sweep
-from ailsrs_jax.sweeps.results import SweepResults, read_results
+from ailsrs_jax.sweeps.results import COLUMNS, SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE
 from experiments import robustness
@@ -49,7 +49,6 @@ from experiments.rules import share, short
 EXPERIMENTS = Path(__file__).parent
 RESULTS = EXPERIMENTS / "results"
 PAGE = EXPERIMENTS / "RESULTS.md"
-TABLES = ("results.csv", "curves.csv", "timings.csv")
 # Those shown on the page; the folder has more.
 FIGURES = ("figure_2", "figure_3_ailsrs", "scores", "profiles")
 VERDICTS = ("reproduced", "partly", "not", "not yet run")
@@ -175,7 +174,7 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
     path = directory / "provenance.json"
     earlier = _provenance(path)["commits"] if path.exists() else []
     directory.mkdir(parents=True, exist_ok=True)
-    for table in TABLES:
+    for table in COLUMNS:
         shutil.copyfile(source / table, directory / table)
     planned = len(load_sweep(source / SWEEP_FILE).cells)
     commits = [commit for commit in earlier if commit != full] + [full]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from ailsrs_jax.errors import UserError, one_line
+from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.sweeps.cells import Cell
 
 RETRIES = 10  # of a unit whose worker is lost; each resumes from the newest checkpoint
@@ -32,10 +32,8 @@ def run_on_ray(
         import ray
     except ImportError:
         raise UserError("--launcher ray needs pip install 'ailsrs_jax[ray]'") from None
-    try:
+    with refusing("cannot connect to a Ray cluster"):
         ray.init(log_to_driver=False)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise UserError(f"cannot connect to a Ray cluster: {one_line(error)}") from error
     try:
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         resources = {"num_cpus": min(node["CPU"] for node in nodes if "CPU" in node)}

@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.stacks import begun_stacks
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE, is_done
@@ -52,11 +52,9 @@ def _copy(source: Path, target: Path) -> None:
     for path in source.rglob("*"):
         if path.is_symlink() or not (path.is_file() or path.is_dir()):
             raise UserError(f"{path} is neither a file nor a directory: a run did not write it")
-    try:
+    with os_errors(f"cannot copy {source} to {target}"):
         temporary = target.with_name(f".{target.name}")
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.copytree(source, temporary)
         shutil.rmtree(target, ignore_errors=True)
         temporary.rename(target)
-    except OSError as error:
-        raise UserError(f"cannot copy {source} to {target}: {error}") from error

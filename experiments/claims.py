@@ -4,6 +4,8 @@ Returns of the paper are compared as shares of the expert's return, because our 
 not 2, and our experts are others.
 """
 
+from functools import partial
+
 from experiments import rules
 from experiments.evidence import (
     ABLATIONS,
@@ -20,7 +22,6 @@ from experiments.evidence import (
     WALKER,
     Claim,
 )
-from experiments.rules import compared, reaches
 
 STARTS = "(counted after the start: a clone for AILSRS and, on HalfCheetah, for GAIL)"
 
@@ -29,7 +30,7 @@ def _cloned(task: str, number: int, mean: float, std: str, remark: str = "") -> 
     return Claim(
         f"BC from {number} demonstrations{remark}",
         "share of the expert's return within 0.1 of the paper's",
-        rules.cloned_to(task, number, mean),
+        partial(rules.cloned_to, task=task, number=number, paper_return=mean),
         paper=f"{mean:g} ± {std}, {mean / PAPER_EXPERTS[task]:.2f} of the expert",
     )
 
@@ -38,7 +39,7 @@ def _cloning_rises(task: str, paper: str) -> Claim:
     return Claim(
         "BC is worst from the fewest demonstrations and improves as they increase",
         "mean return rises from each number to the next",
-        rules.cloning_rises(task),
+        partial(rules.cloning_rises, task=task),
         paper=paper,
     )
 
@@ -46,39 +47,39 @@ def _cloning_rises(task: str, paper: str) -> Claim:
 def _reaches(label: str, task: str, text: str, numbers: tuple[int, ...] = (FEWEST,)) -> Claim:
     number = "each number" if numbers == NUMBERS else FEWEST
     rule = f"mean normalised return ≥ 0.9 from {number}"
-    return Claim(text, rule, reaches(label, [task], numbers))
+    return Claim(text, rule, partial(rules.reaches, label=label, tasks=[task], numbers=numbers))
 
 
 def _each_seed_reaches(label: str) -> Claim:
     return Claim(
         f"{label}'s performance from the fewest is stable",
         "each seed's normalised return ≥ 0.9 from 10",
-        rules.every_seed_reaches(label, [HOPPER], [FEWEST]),
+        partial(rules.every_seed_reaches, label=label, tasks=[HOPPER], numbers=[FEWEST]),
     )
 
 
 def _steadier(label: str, task: str, text: str) -> Claim:
     rule = f"standard deviation over seeds: {label}'s at most BC's, for each number"
-    return Claim(text, rule, compared(rules.spread, label, "BC", [task], higher=False))
+    return Claim(text, rule, partial(rules.steadier, label=label, other="BC", tasks=[task]))
 
 
 def _above_cloning(label: str, task: str, text: str) -> Claim:
     rule = f"mean normalised return: {label}'s above BC's, for each number"
-    return Claim(text, rule, compared(rules.score, label, "BC", [task], higher=True))
+    return Claim(text, rule, partial(rules.higher, label=label, other="BC", tasks=[task]))
 
 
 def _within_five_percent(label: str) -> Claim:
     return Claim(
         f"{label} is within 51.05 of the expert",
         "mean return within 5 % of the expert's, for each number",
-        rules.within_five_percent(label),
+        partial(rules.within_five_percent, label=label),
         paper="1021 ± 51.05, 5 % of it",
     )
 
 
 def _curve(task: str, text: str, numbers: tuple[int, ...] = (1, 3, 5)) -> Claim:
     rule = "the smoothed mean curve reaches a normalised return of 0.9"
-    return Claim(text, rule, rules.curves_reach(task, numbers), FIGURE_3)
+    return Claim(text, rule, partial(rules.curves_reach, task=task, seeds=numbers), FIGURE_3)
 
 
 CLAIMS = {
@@ -88,7 +89,7 @@ CLAIMS = {
             "tasks",
             "AILSRS's mean normalised return ≥ 0.9 from 40 demonstrations on each of the four "
             "tasks",
-            reaches("AILSRS", TASKS, [MOST]),
+            partial(rules.reaches, label="AILSRS", tasks=TASKS, numbers=[MOST]),
         ),
         Claim(
             "Static, linear policies achieve high rewards on *all* MuJoCo tasks",
@@ -105,12 +106,12 @@ CLAIMS = {
         Claim(
             "Achieves the rewards of the expert's trajectories with various random seeds",
             "each seed's normalised return ≥ 0.9, under each of 16 conditions",
-            rules.every_seed_reaches("AILSRS", TASKS, NUMBERS),
+            partial(rules.every_seed_reaches, label="AILSRS", tasks=TASKS, numbers=NUMBERS),
         ),
         Claim(
             "Reproducible: random search learns stabler policies than deep reinforcement learning",
             "standard deviation over seeds: AILSRS's at most GAIL's, under each of 16 conditions",
-            compared(rules.spread, "AILSRS", "GAIL", TASKS, higher=False),
+            partial(rules.steadier, label="AILSRS", other="GAIL", tasks=TASKS),
         ),
         Claim(
             "Computationally efficient, trains quickly",
@@ -154,7 +155,7 @@ CLAIMS = {
         Claim(
             "GAIL is consistently better than the expert as demonstrations increase",
             "mean return above the expert's from 20, 30 and 40",
-            rules.above_the_expert("GAIL", CHEETAH),
+            partial(rules.above_the_expert, label="GAIL", task=CHEETAH),
             paper="> 4632",
         ),
         _steadier("GAIL", CHEETAH, "GAIL's standard deviation is very small, unlike BC's"),
@@ -180,7 +181,7 @@ CLAIMS = {
         Claim(
             "AILSRS did so without starting from BC",
             "mean normalised return ≥ 0.9 from zero weights",
-            reaches("from zero", [HOPPER], sweep=ABLATIONS),
+            partial(rules.reaches, label="from zero", tasks=[HOPPER], sweep=ABLATIONS),
             ABLATIONS,
         ),
     ],

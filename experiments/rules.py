@@ -4,10 +4,10 @@ A rule is a function that turns results into checks. ``claims.py`` states it in 
 ``evidence.py`` turns the checks into a verdict.
 """
 
-import functools
 import itertools
+import operator
 from collections.abc import Callable, Iterable, Sequence
-from typing import Concatenate, ParamSpec
+from functools import partial
 
 import numpy as np
 
@@ -30,23 +30,8 @@ from experiments.evidence import (
     TASKS,
     WALKER,
     Check,
-    Checks,
     Evidence,
 )
-
-Options = ParamSpec("Options")
-
-
-def _rule(
-    rule: Callable[Concatenate[Evidence, Options], Iterable[Check]],
-) -> Callable[Options, Checks]:
-    """Turn a rule with options into a function of the options, which returns the rule."""
-
-    @functools.wraps(rule)
-    def chosen(*args: Options.args, **kwargs: Options.kwargs) -> Checks:
-        return lambda evidence: rule(evidence, *args, **kwargs)
-
-    return chosen
 
 
 def short(task: str) -> str:
@@ -74,7 +59,6 @@ def largest_fall(curve: np.ndarray) -> float:
     return float((np.maximum.accumulate(curve) - curve).max())
 
 
-@_rule
 def reaches(
     evidence: Evidence,
     label: str,
@@ -89,25 +73,25 @@ def reaches(
         yield Check(_where(task, number), value, score(group) >= REACHED)
 
 
-@_rule
-def compared(
+def _compared(
     evidence: Evidence,
-    measure: Callable[[Group], float],
     label: str,
     other: str,
     tasks: Sequence[str],
-    *,
-    higher: bool,
+    measure: Callable[[Group], float],
+    holds: Callable[[float, float], bool],
 ) -> Iterable[Check]:
-    """Check that a measure of ``label`` is above that of ``other``, or at most as large."""
+    """Compare a measure of ``label`` with that of ``other``, for each number of demonstrations."""
     for task, number in itertools.product(tasks, NUMBERS):
         mine, theirs = (measure(evidence.group(name, task, number)) for name in (label, other))
-        sign = ">" if mine > theirs else "≤"
-        holds = mine > theirs if higher else mine <= theirs
-        yield Check(_where(task, number), f"{mine:.3f} {sign} {theirs:.3f}", holds)
+        value = f"{mine:.3f} {'>' if mine > theirs else '≤'} {theirs:.3f}"
+        yield Check(_where(task, number), value, holds(mine, theirs))
 
 
-@_rule
+steadier = partial(_compared, measure=spread, holds=operator.le)
+higher = partial(_compared, measure=score, holds=operator.gt)
+
+
 def cloned_to(evidence: Evidence, task: str, number: int, paper_return: float) -> Iterable[Check]:
     """Check that BC's share of the expert's return is within 0.1 of the paper's."""
     group = evidence.group("BC", task, number)
@@ -116,7 +100,6 @@ def cloned_to(evidence: Evidence, task: str, number: int, paper_return: float) -
     yield Check("", value, abs(ours - paper) <= 0.1)
 
 
-@_rule
 def cloning_rises(evidence: Evidence, task: str) -> Iterable[Check]:
     """Check that BC's mean return rises with each further ten demonstrations."""
     means = [evidence.group("BC", task, n).values("return_mean").mean() for n in NUMBERS]
@@ -124,16 +107,14 @@ def cloning_rises(evidence: Evidence, task: str) -> Iterable[Check]:
         yield Check(f"{number}:", f"{before:.0f} → {after:.0f}", after > before)
 
 
-@_rule
-def curves_reach(evidence: Evidence, task: str, numbers_of_seeds: Sequence[int]) -> Iterable[Check]:
-    """Check that the smoothed mean training curve reaches 0.9."""
+def curves_reach(evidence: Evidence, task: str, seeds: Sequence[int]) -> Iterable[Check]:
+    """Check that the smoothed mean training curves of these numbers of seeds reach 0.9."""
     group = evidence.group("AILSRS", task, sweep=FIGURE_3)
-    for number in numbers_of_seeds:
+    for number in seeds:
         peak = evidence.curve(group, number, FIGURE_3).max()
         yield Check(f"{number} seed{'s' * (number > 1)}:", f"{peak:.2f}", peak >= REACHED)
 
 
-@_rule
 def above_the_expert(evidence: Evidence, label: str, task: str) -> Iterable[Check]:
     """Check that the mean return is above the expert's from 20, 30 and 40 demonstrations."""
     for number in NUMBERS[1:]:
@@ -142,7 +123,6 @@ def above_the_expert(evidence: Evidence, label: str, task: str) -> Iterable[Chec
         yield Check(f"{number}:", value, share(group) > 1)
 
 
-@_rule
 def within_five_percent(evidence: Evidence, label: str) -> Iterable[Check]:
     """Check that the mean return on Walker2d is within 5 % of the expert's, as in the paper."""
     for number in NUMBERS:
@@ -150,7 +130,6 @@ def within_five_percent(evidence: Evidence, label: str) -> Iterable[Check]:
         yield Check(f"{number}:", f"{ours:.2f}", abs(ours - 1) <= 51.05 / 1021)
 
 
-@_rule
 def every_seed_reaches(
     evidence: Evidence, label: str, tasks: Sequence[str], numbers: Sequence[int]
 ) -> Iterable[Check]:
@@ -160,7 +139,6 @@ def every_seed_reaches(
         yield Check(_where(task, number), f"worst {worst:.3f}", worst >= REACHED)
 
 
-@_rule
 def _few_and_many(
     evidence: Evidence, label: str, holds: Callable[[float, float], bool]
 ) -> Iterable[Check]:
@@ -170,8 +148,12 @@ def _few_and_many(
         yield Check(short(task), f"{few:.2f}, {many:.2f}", holds(few, many))
 
 
-few_are_enough = _few_and_many("AILSRS", lambda few, many: few >= max(REACHED, many - 0.05))
-cloning_needs_data = _few_and_many("BC", lambda few, many: few < REACHED and many >= few + 0.1)
+few_are_enough = partial(
+    _few_and_many, label="AILSRS", holds=lambda few, many: few >= max(REACHED, many - 0.05)
+)
+cloning_needs_data = partial(
+    _few_and_many, label="BC", holds=lambda few, many: few < REACHED and many >= few + 0.1
+)
 
 
 def competitive(evidence: Evidence) -> Iterable[Check]:
@@ -189,8 +171,8 @@ def competitive(evidence: Evidence) -> Iterable[Check]:
 
 def all_six(evidence: Evidence) -> Iterable[Check]:
     """AILSRS reaches 0.9 on all six locomotion tasks of Gym."""
-    yield from reaches("AILSRS", TASKS, [MOST])(evidence)
-    yield from reaches("AILSRS", HARD_TASKS, sweep=HARD)(evidence)
+    yield from reaches(evidence, "AILSRS", TASKS, [MOST])
+    yield from reaches(evidence, "AILSRS", HARD_TASKS, sweep=HARD)
 
 
 def hard_tasks_fail(evidence: Evidence) -> Iterable[Check]:

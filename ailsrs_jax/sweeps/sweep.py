@@ -1,11 +1,11 @@
 """Train the cells of a sweep: which are trained together, and what is left to do."""
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from ailsrs_jax.errors import InUseError, UserError, one_line
+from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.loop import execute
 from ailsrs_jax.runs.storage.journal import Result
@@ -13,7 +13,6 @@ from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.sweeps.cells import Cell, Sweep
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
-from ailsrs_jax.sweeps.launch import run_on_ray
 from ailsrs_jax.sweeps.results import DONE, NOT_RUN
 from ailsrs_jax.sweeps.spec import MAX_CELLS, expand, read_spec
 from ailsrs_jax.sweeps.stacks import begun_stacks, split_unit, stack_directory
@@ -21,10 +20,9 @@ from ailsrs_jax.sweeps.tables import (
     ROW_FILE,
     TableRow,
     failed_row,
-    finished_row,
+    finish,
     load_row,
     save_row,
-    timing_row,
     write_tables,
 )
 
@@ -32,6 +30,7 @@ SWEEP_FILE = "sweep.json"
 MAX_PARALLEL = 64  # cells in one program; the same on every machine, so that all shards agree
 
 LAUNCHERS = ("local", "ray")
+RAY_RETRIES = 10  # of a unit whose worker is lost; each resumes from the newest checkpoint
 
 Unit = tuple[Cell, ...]  # cells that are trained together, as a stack if there are several
 
@@ -173,7 +172,7 @@ def run_units(
             rows = write_tables(output, grid.cells)
         return rows
     left = {cell.name for unit in units for cell in unit if not is_done(output, cell)}
-    for unit, problem in run_on_ray(run_unit, units, output, grid.episodes, track):
+    for unit, problem in _run_on_ray(units, output, grid.episodes, track):
         for cell in unit:
             if problem is not None and not is_done(output, cell):
                 save_row(output / "cells" / cell.name, failed_row(cell, problem), None)
@@ -183,6 +182,47 @@ def run_units(
             if watch is not None and row["cell"] in ended and row["status"] != NOT_RUN:
                 watch.end(row)
     return rows
+
+
+def _run_on_ray(
+    units: Sequence[Unit], output: Path, episodes: int, track: str | None
+) -> Iterator[tuple[Unit, str | None]]:
+    """Run ``units`` on the Ray cluster at ``RAY_ADDRESS``, or on this machine if it is not set.
+
+    A unit gets one GPU, or all cores of a node if the cluster has no GPU. All nodes have to see the
+    working directory, ``output`` and the files of demonstrations under the same paths.
+
+    Yields:
+        Each unit when it has ended, and the reason if it could not be run.
+
+    Raises:
+        UserError: Ray is not installed, or the cluster does not answer.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise UserError("--launcher ray needs pip install 'ailsrs_jax[ray]'") from None
+    with refusing("cannot connect to a Ray cluster"):
+        ray.init(log_to_driver=False)
+    try:
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        resources = {"num_cpus": min(node["CPU"] for node in nodes if "CPU" in node)}
+        if any("GPU" in node for node in nodes):
+            resources = {"num_gpus": 1}
+        remote = ray.remote(max_retries=RAY_RETRIES, **resources)(run_unit)
+        running = {remote.remote(unit, output.absolute(), episodes, track): unit for unit in units}
+        while running:
+            (ended,), _ = ray.wait(list(running))
+            unit, problem = running.pop(ended), None
+            try:
+                ray.get(ended)
+            except ray.exceptions.RayTaskError as error:
+                problem = one_line(error.cause)
+            except ray.exceptions.RayError as error:
+                problem = f"all its workers were lost: {one_line(error)}"
+            yield unit, problem
+    finally:
+        ray.shutdown()
 
 
 def run_unit(
@@ -227,26 +267,11 @@ def run_unit(
             if cell in waiting:
                 if stop():  # an evaluation takes time
                     raise KeyboardInterrupt
-                row = _finish(cell, outcome, directory, episodes)
+                row = finish(cell, outcome, directory, episodes)
                 if watch is not None:
                     watch.end(row)
     if not pending([unit], output):
         shutil.rmtree(stack, ignore_errors=True)  # each cell has its own checkpoint now
-
-
-def _finish(cell: Cell, outcome: Result | Exception, directory: Path, episodes: int) -> TableRow:
-    """Evaluate the policy that a cell has kept, or record why the cell has failed."""
-    timing = None
-    try:
-        if isinstance(outcome, Exception):
-            raise outcome
-        row = finished_row(cell, outcome, directory, episodes)
-        timing = timing_row(cell, row, directory)
-    except Exception as error:
-        row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
-    if not isinstance(outcome, InUseError):  # the process that uses the directory will save a row
-        save_row(directory, row, timing)
-    return row
 
 
 def require_same_stacks(units: Sequence[Unit], output: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import InUseError, UserError, one_line
 from ailsrs_jax.files import read_json_object, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
@@ -28,6 +28,21 @@ from ailsrs_jax.trainers.parts.settings import as_text
 ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
 
 TableRow = Mapping[str, Any]  # values by column; None and missing ones become empty fields
+
+
+def finish(cell: Cell, outcome: Result | Exception, directory: Path, episodes: int) -> TableRow:
+    """Evaluate the policy that a cell has kept, or record why the cell has failed."""
+    timing = None
+    try:
+        if isinstance(outcome, Exception):
+            raise outcome
+        row = finished_row(cell, outcome, directory, episodes)
+        timing = timing_row(cell, row, directory)
+    except Exception as error:
+        row = failed_row(cell, str(error) if isinstance(error, UserError) else one_line(error))
+    if not isinstance(outcome, InUseError):  # the process that uses the directory will save a row
+        save_row(directory, row, timing)
+    return row
 
 
 def finished_row(cell: Cell, result: Result, directory: Path, episodes: int) -> TableRow:

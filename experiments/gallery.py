@@ -8,7 +8,6 @@ NAME is that of a sweep of AILSRS whose results are committed, and DIRECTORY whe
 import json
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from ailsrs_jax.show.sweep_report import markdown_table
@@ -44,21 +43,21 @@ def main() -> None:
     FILMS.mkdir()
     parts = [INTRODUCTION]
     for name, directory in (argument.split("=", 1) for argument in sys.argv[1:]):
-        for label, cells in medians(name):
+        for label, cells in medians(name).items():
             rows = [_show(cell, Path(directory) / "cells" / cell.cell) for cell in cells]
             header = ["expert and policy", "task", "score", "command", "policy"]
             parts += [f"## {label[:1].upper()}{label[1:]}", markdown_table(header, rows)]
     (DOCS / "gallery.md").write_text("\n\n".join(parts) + "\n")
 
 
-def medians(name: str) -> Iterator[tuple[str, list[CellResult]]]:
-    """Yield each label of AILSRS in the committed sweep, and of each task the median cell."""
+def medians(name: str) -> dict[str, list[CellResult]]:
+    """Return for each label of AILSRS in the committed sweep the median cell of each task."""
     found: dict[str, list[CellResult]] = {}
     for group in group_cells(read_results(RESULTS / name).cells):
-        done = sorted(group.cells, key=lambda cell: cell.normalized)
-        if done and done[0].algorithm == "ailsrs":
-            found.setdefault(done[0].label, []).append(done[len(done) // 2])
-    yield from found.items()
+        cells = sorted(group.cells, key=lambda cell: cell.normalized)
+        if cells[0].algorithm == "ailsrs":
+            found.setdefault(cells[0].label, []).append(cells[len(cells) // 2])
+    return found
 
 
 def _show(cell: CellResult, run: Path) -> list[str]:

@@ -17,6 +17,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.wrappers import TransformObservation
 
 from ailsrs_jax.data.policies import SavedPolicy, load_policy
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
@@ -50,16 +51,10 @@ def scale_friction(env: gymnasium.Env, factor: float) -> gymnasium.Env:
     return env
 
 
-class NoisyObservations(gymnasium.ObservationWrapper):
-    """Adds Gaussian noise with the standard deviation ``scale (n,)`` to observations."""
-
-    def __init__(self, env: gymnasium.Env, scale: np.ndarray) -> None:
-        super().__init__(env)
-        self.scale, self.rng = scale, np.random.default_rng(SEED)
-
-    def observation(self, observation: np.ndarray) -> np.ndarray:
-        """Return the observation with noise."""
-        return observation + self.scale * self.rng.standard_normal(len(self.scale))
+def add_noise(env: gymnasium.Env, scale: np.ndarray) -> gymnasium.Env:
+    """Add Gaussian noise with the standard deviation ``scale (n,)`` to observations."""
+    rng = np.random.default_rng(SEED)
+    return TransformObservation(env, lambda o: o + scale * rng.standard_normal(len(scale)), None)
 
 
 class LateActions(gymnasium.Wrapper):
@@ -84,9 +79,9 @@ CONDITIONS: dict[str, Callable[[gymnasium.Env, np.ndarray], gymnasium.Env]] = {
     "friction +10 %": lambda env, _: scale_friction(env, 1.1),
     "friction +20 %": lambda env, _: scale_friction(env, 1.2),
     "noise of 5 % of the observations' standard deviation": (
-        lambda env, std: NoisyObservations(env, 0.05 * std)
+        lambda env, std: add_noise(env, 0.05 * std)
     ),
-    "noise of 10 %": lambda env, std: NoisyObservations(env, 0.1 * std),
+    "noise of 10 %": lambda env, std: add_noise(env, 0.1 * std),
     "actions one step late": lambda env, _: LateActions(env),
 }
 

@@ -10,7 +10,7 @@ pytest.importorskip("experiments.robustness", reason="the package is installed w
 from experiments import robustness
 from experiments.robustness import (
     LateActions,
-    NoisyObservations,
+    add_noise,
     mean_return,
     scale_friction,
     scale_mass,
@@ -42,7 +42,7 @@ def test_mass_and_friction() -> None:
 
 
 def test_noise_has_the_standard_deviation_of_each_entry() -> None:
-    env = NoisyObservations(Recorder(), np.array([0.1, 2.0]))
+    env: Any = add_noise(Recorder(), np.array([0.1, 2.0]))
     env.reset()
     noise = np.stack([env.observation(np.zeros(2)) for _ in range(2000)])
     np.testing.assert_allclose(noise.std(axis=0), [0.1, 2.0], rtol=0.1)

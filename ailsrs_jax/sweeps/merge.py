@@ -42,7 +42,7 @@ def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[Tabl
             name = Path("cells", cell.name)
             better = is_done(source, cell) and not is_done(output, cell)
             # A failed cell is copied only where it cannot replace the progress of a run.
-            if better or (load_row(source / name) is not None and not (output / name).exists()):
+            if better or (load_row(source / name)[0] and not (output / name).exists()):
                 _copy(source / name, output / name)
     return write_tables(output, grid.cells)
 

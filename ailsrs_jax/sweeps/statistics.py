@@ -7,6 +7,7 @@ random state, needs the same number of seeds on every task, and does not import 
 
 import dataclasses
 import math
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any
 
@@ -71,13 +72,12 @@ def series_names(cells: Iterable[CellResult]) -> dict[str, str]:
     with the same number of demonstrations.
     """
     cells = list(cells)
-    variants: dict[tuple[Any, ...], set[tuple[str, ...]]] = {}
+    variants: dict[tuple[Any, ...], set[tuple[str, ...]]] = defaultdict(set)
     for cell in cells:
-        condition = (cell.label, cell.env_id, cell.num_trajectories)
-        variants.setdefault(condition, set()).add(_variant(cell))
+        variants[cell.label, cell.env_id, cell.num_trajectories].add(_variant(cell))
         # Algorithms that learn from the reward have no number of demonstrations.
-        variants.setdefault(condition[:2], set()).add(_variant(cell)[:1])
-    differing: dict[str, set[int]] = {cell.label: set() for cell in cells}
+        variants[cell.label, cell.env_id].add(_variant(cell)[:1])
+    differing: dict[str, set[int]] = defaultdict(set)
     for (label, *_), same in variants.items():
         differing[label] |= {at for at, values in enumerate(zip(*same)) if len(set(values)) > 1}
     names = {}
@@ -102,10 +102,9 @@ def group_cells(cells: Iterable[CellResult]) -> list[Group]:
     """Return the groups with at least one finished cell, in the order of ``cells``."""
     cells = list(cells)
     names = series_names(cells)
-    groups: dict[Hashable, list[CellResult]] = {}
+    groups: dict[Hashable, list[CellResult]] = defaultdict(list)
     for cell in cells:
-        key = (names[cell.cell], cell.env_id, cell.num_trajectories)
-        groups.setdefault(key, []).append(cell)
+        groups[names[cell.cell], cell.env_id, cell.num_trajectories].append(cell)
     return [
         Group(names[mine[0].cell], done, len(mine))
         for mine in groups.values()
@@ -119,10 +118,10 @@ def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
     A condition is a task and a number of demonstrations; series without demonstrations are compared
     by task alone. Groups without a normalized return are left out.
     """
-    by_series: dict[str, list[Group]] = {}
+    by_series: dict[str, list[Group]] = defaultdict(list)
     for group in groups:
         if scores([group]):
-            by_series.setdefault(group.series, []).append(group)
+            by_series[group.series].append(group)
 
     def is_shared(group: Group) -> bool:
         return all(any(_match(group, one) for one in mine) for mine in by_series.values())

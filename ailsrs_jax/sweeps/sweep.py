@@ -144,8 +144,7 @@ def pending(units: Sequence[Unit], output: Path) -> list[Unit]:
 
 def is_done(output: Path, cell: Cell) -> bool:
     """Tell whether a cell has finished with a policy."""
-    found = load_row(output / "cells" / cell.name)
-    return found is not None and found[0]["status"] == DONE
+    return load_row(output / "cells" / cell.name)[0].get("status") == DONE
 
 
 def run_units(

@@ -149,15 +149,15 @@ def save_row(directory: Path, row: TableRow, timing: TableRow | None) -> None:
     write_json(directory / ROW_FILE, {"row": row, "timing": timing})
 
 
-def load_row(directory: Path) -> tuple[TableRow, TableRow | None] | None:
-    """Read the rows of results and timings of a cell; None if it has not finished or failed.
+def load_row(directory: Path) -> tuple[TableRow, TableRow | None]:
+    """Read the rows of results and timings of a cell; {} and None before it finishes or fails.
 
     Raises:
         UserError: the file is damaged.
     """
     path = directory / ROW_FILE
     if not os.path.lexists(path):
-        return None
+        return {}, None
     content = read_json_object(path, "the row of a cell; delete it to evaluate the cell again")
     row, timing = content.get("row"), content.get("timing")
     if (
@@ -183,10 +183,10 @@ def write_tables(output: Path, cells: Sequence[Cell]) -> list[TableRow]:
     while True:
         found = [load_row(output / "cells" / cell.name) for cell in cells]
         rows: list[TableRow] = [
-            cell_columns(cell) | {"status": NOT_RUN} | dict(each[0] if each else {})
-            for cell, each in zip(cells, found, strict=True)
+            cell_columns(cell) | {"status": NOT_RUN} | dict(row)
+            for cell, (row, _) in zip(cells, found, strict=True)
         ]
-        timings = [each[1] for each in found if each is not None and each[1] is not None]
+        timings = [timing for _, timing in found if timing is not None]
         seen = json.dumps([rows, timings])  # as text, because NaN is not equal to itself
         if seen == written:
             return rows

@@ -172,7 +172,7 @@ def add(name: str, source: Path, commit: str, target: Path = RESULTS) -> None:
         raise UserError(f"{commit} is no commit here that has {spec}")
     directory = target / name
     path = directory / "provenance.json"
-    earlier = _provenance(path)["commits"] if path.exists() else []
+    earlier = _provenance(path)["commits"]
     directory.mkdir(parents=True, exist_ok=True)
     for table in COLUMNS:
         shutil.copyfile(source / table, directory / table)

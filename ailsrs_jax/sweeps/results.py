@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, requirement
 from ailsrs_jax.runs.storage.metrics import read_rows
 
 DONE = "done"
@@ -178,12 +178,11 @@ def _value(where: str, name: str, text: str, kind: Any) -> str | float | None:
     number = _number(where, name, text)
     if kind is float:
         return number
-    if math.isnan(number):
-        if kind is int:
-            raise UserError(f"{where}: there is no {name}")
+    if math.isnan(number) and kind is not int:
         return None
-    if number % 1:
-        raise UserError(f"{where}: {name} is '{text}', not a whole number")
+    require = requirement(where)
+    require(not math.isnan(number), f"there is no {name}")
+    require(number % 1 == 0, f"{name} is '{text}', not a whole number")
     return int(number)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, refusing, requirement
 from ailsrs_jax.files import read_small
@@ -162,15 +161,14 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
         settings=planned.spec.settings,
     )
     name = _name(spec)
-    if config.physics in ENGINES:  # so that "auto" means the same on all machines
-        spec = dataclasses.replace(spec, physics=planned.spec.physics)
+    physics = planned.spec.physics  # resolved, so that "auto" means the same on all machines
     is_expert = config.source is None or config.source.kind == "expert"
     differ = is_expert or spec.draw_from is not None  # on other machines, or for other seeds
     return [
         Cell(
             name=f"{name}-seed{seed}",
             label=label or find_algorithm(config.algorithm).title,
-            spec=dataclasses.replace(spec, seeds=(seed,)),
+            spec=dataclasses.replace(spec, seeds=(seed,), physics=physics),
             all_settings=dataclasses.asdict(config.settings),
             engine=config.physics,
             program=hashlib.sha256(repr(stack_key(planned)).encode()).hexdigest()[:12],
@@ -182,16 +180,15 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
 
 def _name(spec: RunSpec) -> str:
     """Make a name that tells cells apart, and does not depend on the rest of the sweep."""
-    default = RunSpec("")
     parts = [str(spec.env).removesuffix("-v5").lower(), spec.algorithm]
     if spec.num_trajectories is not None:
         parts.append(str(spec.num_trajectories))
-    if spec.preset != default.preset:
+    if spec.preset != RunSpec.preset:
         parts.append(spec.preset)
     others = {
         key: getattr(spec, key)
         for key in ("physics", "demonstrations", "draw_from", "subsample", "states_only")
-        if getattr(spec, key) != getattr(default, key)
+        if getattr(spec, key) != getattr(RunSpec, key)
     }
     parts += [f"{name}={as_text(value)}" for name, value in {**others, **spec.settings}.items()]
     name = "-".join(parts)

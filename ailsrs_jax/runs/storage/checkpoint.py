@@ -157,7 +157,9 @@ class Checkpoints:
         if problems and is_first_process():
             logger.warning(
                 "checkpoint %s in %s is damaged: resuming from %d",
-                *(" and ".join(map(str, problems)), self._directory, restored.num_done),
+                " and ".join(map(str, problems)),
+                self._directory,
+                restored.num_done,
             )
         newer = [step for step in self._manager.all_steps() if step > restored.num_done]
         for num_done in as_the_first_says(newer):

@@ -98,11 +98,8 @@ class Demonstrations(struct.PyTreeNode):
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return the arrays of their file, without actions if there are none or a stride of 1."""
-        names = ["observations", "actions", "lengths", "returns", "env_id", "stride"]
         absent = {"actions": self.actions is None, "stride": self.stride == 1}
-        return {
-            name: np.asarray(getattr(self, name)) for name in names if not absent.get(name, False)
-        }
+        return {name: np.asarray(x) for name, x in vars(self).items() if not absent.get(name)}
 
 
 def save_demonstrations(demonstrations: Demonstrations, path: str | Path) -> None:
@@ -127,28 +124,25 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
     """
     require = requirement(source)
     observations, lengths, returns, env_id = (np.asarray(fields[name]) for name in REQUIRED)
+    actions, stride = fields.get("actions"), np.asarray(fields.get("stride", 1))
     require(observations.ndim == 3, f"observations are {observations.shape}, not (E, T, n)")
-    num_episodes, num_steps = observations.shape[:2]
     require(observations.size > 0, "there are no observations")
+    num_episodes, num_steps = observations.shape[:2]
     steps = {"observations": observations}
-    if fields.get("actions") is not None:
-        actions = np.asarray(fields["actions"])
+    if actions is not None:
+        actions = steps["actions"] = np.asarray(actions)
         require(actions.ndim == 3, f"actions are {actions.shape}, not (E, T, p)")
         require(
-            actions.shape[:2] == (num_episodes, num_steps) and actions.size > 0,
+            actions.shape[:2] == observations.shape[:2] and actions.size > 0,
             f"actions {actions.shape} do not match observations {observations.shape}",
         )
-        steps["actions"] = actions
     for name, array in (("lengths", lengths), ("returns", returns)):
         require(array.shape == (num_episodes,), f"{name} are {array.shape}, not ({num_episodes},)")
     require(lengths.dtype.kind in "iu", "lengths are not integers")
-    require(
-        bool(np.all((lengths >= 1) & (lengths <= num_steps))),
-        f"lengths are not all between 1 and {num_steps}",
-    )
+    in_range = (lengths >= 1) & (lengths <= num_steps)
+    require(bool(in_range.all()), f"lengths are not all between 1 and {num_steps}")
     require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
     require_name(str(env_id), source)
-    stride = np.asarray(fields.get("stride", 1))
     require(
         stride.ndim == 0 and stride.dtype.kind in "iu" and int(stride) >= 1,
         "stride is not a single positive integer",
@@ -158,18 +152,17 @@ def validated(fields: Mapping[str, Any], source: str) -> Demonstrations:
         require(array.dtype.kind == "f", f"{name} are not floating-point numbers")
     # The types come first: an array of empty strings can have a huge shape in a tiny file.
     alive = (np.arange(num_steps) < lengths[:, None])[..., None]
+    numbers = {name: np.where(alive, array, 0.0) for name, array in steps.items()}
+    numbers["returns"] = returns
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused
-        steps = {
-            name: np.where(alive, array, 0.0).astype(np.float32) for name, array in steps.items()
-        }
-        returns = returns.astype(np.float32)
-    for name, array in (*steps.items(), ("returns", returns)):
+        floats = {name: x.astype(np.float32) for name, x in numbers.items()}
+    for name, array in floats.items():
         require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
     return Demonstrations(
-        observations=steps["observations"],
-        actions=steps.get("actions"),
+        observations=floats["observations"],
+        actions=floats.get("actions"),
+        returns=floats["returns"],
         lengths=lengths.astype(np.int32),
-        returns=returns,
         env_id=str(env_id),
         stride=int(stride),
     )

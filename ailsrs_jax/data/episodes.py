@@ -45,12 +45,10 @@ def load_minari(
         UserError: Minari is not installed, has no such dataset or cannot read it, it is of another
             environment, or its contents contradict one another.
     """
-    source = f"minari:{dataset_id}"
     time_limit, pairs = read_minari(dataset_id, env_id)
-    episodes, num_left_out, longest = _collect(
-        pairs, num_trajectories, source, to_the_end=time_limit is None
+    return _collect(
+        pairs, num_trajectories, env_id, f"minari:{dataset_id}", time_limit=time_limit, spare=2
     )
-    return stack(episodes, time_limit or 2 * longest, env_id, source), num_left_out
 
 
 def save_minari(recording: Recording, dataset_id: str) -> None:
@@ -101,9 +99,7 @@ def load_imitation(
         UserError: it is not such a directory, pyarrow is not installed, or the contents contradict
             one another.
     """
-    pairs, source = read_imitation(Path(directory)), str(directory)
-    episodes, num_left_out, longest = _collect(pairs, num_trajectories, source, to_the_end=True)
-    return stack(episodes, longest, env_id, source), num_left_out
+    return _collect(read_imitation(Path(directory)), num_trajectories, env_id, str(directory))
 
 
 def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str) -> Demonstrations:
@@ -137,15 +133,16 @@ def stack(episodes: Sequence[Episode], num_steps: int, env_id: str, source: str)
 def _collect(
     pairs: Iterable[tuple[Episode, bool]],
     num_trajectories: int | None,
+    env_id: str,
     source: str,
     *,
-    to_the_end: bool,
-) -> tuple[list[Episode], int, int]:
-    """Read the first whole episodes, and ``to_the_end`` the lengths of the others.
+    time_limit: int | None = None,
+    spare: int = 1,
+) -> tuple[Demonstrations, int]:
+    """Stack the first whole episodes; return also the number of cut-off ones among them.
 
-    Returns:
-        the first whole episodes, the number of cut-off ones among them, and the most steps of all
-        whole episodes that were read.
+    If there is no ``time_limit`` it becomes ``spare`` times the length of the longest of all whole
+    episodes.
     """
     episodes: list[Episode] = []
     num_left_out = longest = 0
@@ -157,8 +154,8 @@ def _collect(
             episodes.append(episode)
         elif is_needed:
             num_left_out += 1
-        if len(episodes) == num_trajectories and not to_the_end:
+        if len(episodes) == num_trajectories and time_limit is not None:
             break
     if not episodes:
         raise UserError(f"{source} holds no whole episode: {num_left_out} are cut off")
-    return episodes, num_left_out, longest
+    return stack(episodes, time_limit or spare * longest, env_id, source), num_left_out

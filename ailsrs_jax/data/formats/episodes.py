@@ -21,13 +21,7 @@ class Episode(NamedTuple):
 
 
 def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> Episode:
-    """Check and return one episode.
-
-    Args:
-        observations: ``(L + 1, n)``, with the final one.
-        actions: ``(L, p)``.
-        rewards: ``(L,)``.
-        where: the beginning of an error message.
+    """Check and return one episode; an error message begins with ``where``.
 
     Raises:
         UserError: they have other shapes, or are not floating-point numbers.
@@ -39,8 +33,7 @@ def make_episode(observations: Any, actions: Any, rewards: Any, where: str) -> E
             f"{where}: observations {observations.shape}, actions {actions.shape} and rewards "
             f"{rewards.shape} are not (L + 1, n), (L, p) and (L,)"
         )
-    arrays = {"observations": observations, "actions": actions, "rewards": rewards}
-    for name, array in arrays.items():
+    for name, array in zip(Episode._fields, (observations, actions, rewards)):
         if array.dtype.kind != "f":
             raise UserError(f"{where}: {name} are {array.dtype}, not floating-point numbers")
     with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused later

@@ -101,7 +101,7 @@ class SavedPolicy(ABC):
     @property
     def is_stochastic(self) -> bool:
         """Whether actions can be drawn at random."""
-        return bool(self._action_std().any())
+        return bool(np.any(vars(self).get("action_std", 0.0)))
 
     @property
     def noise_std(self) -> np.ndarray:
@@ -112,10 +112,7 @@ class SavedPolicy(ABC):
         """
         if not self.is_stochastic:
             raise UserError("the policy is deterministic: there are no actions to draw")
-        return self._action_std()
-
-    def _action_std(self) -> np.ndarray:
-        return np.zeros(len(self.action_low))
+        return vars(self)["action_std"]
 
     def require_shape(self, action_size: int, observation_size: int) -> None:
         """Raise UserError unless the policy takes and returns vectors of these sizes."""
@@ -165,17 +162,11 @@ class SavedLinearPolicy(SavedPolicy):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedMlpPolicy(SavedPolicy):
-    """A Gaussian policy whose mean is a multilayer perceptron of (observation − mean) / std.
-
-    Each layer but the last is ``h ← tanh(W h + b)``, the last ``W h + b``.
-    """
+    """A Gaussian policy whose mean is a multilayer perceptron of (observation − mean) / std."""
 
     weights: tuple[np.ndarray, ...]  # (out, in) of each layer
     biases: tuple[np.ndarray, ...]  # (out,)
     action_std: np.ndarray  # (p,) of the Gaussian
-
-    def _action_std(self) -> np.ndarray:
-        return self.action_std
 
     @property
     def layers(self) -> Layers:
@@ -200,15 +191,8 @@ def load_policy(path: str | Path) -> SavedPolicy:
     Raises:
         UserError: the file is missing, has another format, or its contents contradict one another.
     """
-    found, env_id = read_policy(Path(path))
-    arrays: dict[str, Any] = dict(found)
-    if "weights" in arrays:
-        return SavedLinearPolicy(**arrays, env_id=env_id)
-    layers = range(sum(name.startswith("weights_") for name in arrays))
-    weights, biases = (
-        tuple(arrays.pop(f"{kind}_{layer}") for layer in layers) for kind in ("weights", "biases")
-    )
-    return SavedMlpPolicy(**arrays, env_id=env_id, weights=weights, biases=biases)
+    fields = read_policy(Path(path))
+    return (SavedMlpPolicy if "biases" in fields else SavedLinearPolicy)(**fields)
 
 
 def policy_files(path: Path) -> list[Path]:

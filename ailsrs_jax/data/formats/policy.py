@@ -1,9 +1,10 @@
 """A policy's file: its fields, and the formats in which they are stored."""
 
 import importlib.util
+import itertools
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,6 @@ MLP_ARRAYS = (
     *(f"{kind}_{layer}" for kind in ("weights", "biases") for layer in range(MAX_LAYERS)),
     "action_std",
 )
-
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # weights (out, in), biases (out,) of each
 
@@ -58,15 +58,16 @@ def require_format(path: Path) -> Format:
     return FORMATS[path.suffix]
 
 
-def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    """Read and validate the arrays and the ``env_id`` of a policy's file; nothing is unpickled.
+def read_policy(path: Path) -> dict[str, Any]:
+    """Read and validate a policy's file; nothing is unpickled.
 
-    A file with another suffix is read as ``.npz``.
+    A file with another suffix is read as ``.npz``. A neural policy's ``weights`` and ``biases`` are
+    tuples of arrays.
 
     Raises:
         UserError: the file is missing, has another format, or its contents contradict one another.
     """
-    read = require_format(path).read if path.suffix in set(FORMATS) - {".npz"} else read_npz
+    read = require_format(path).read if path.suffix in FORMATS else read_npz
     if read is None:
         raise UserError(
             f"{path}: {path.suffix} is for other programs; read a .npz or .safetensors file"
@@ -75,29 +76,25 @@ def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
     env_id = arrays.pop("env_id")
 
     require = requirement(str(path))
-    weights, others = ["weights"], []
+    weights, biases, others = ["weights"], [], []
     if "weights" not in arrays:
         layers = range(sum(name.startswith("weights_") for name in arrays))
-        weights = [f"weights_{layer}" for layer in layers]
-        others = [*(f"biases_{layer}" for layer in layers), "action_std"]
-    missing = [name for name in (*weights, *others) if name not in arrays]
+        weights, biases = ([f"{kind}_{i}" for i in layers] for kind in ("weights", "biases"))
+        others = ["action_std"]
+    missing = [name for name in (*weights, *biases, *others) if name not in arrays]
     if missing or not weights:
         raise UserError(f"{path} has no {', '.join(missing) or 'weights'}: not a file of a policy")
     require(env_id.ndim == 0 and env_id.dtype.kind == "U", "env_id is not a single string")
     require_name(str(env_id), str(path))
-    shapes: dict[str, tuple[int, ...]] = {}
-    for layer, matrix in enumerate(arrays[name] for name in weights):
+    matrices = [arrays[name] for name in weights]
+    for matrix in matrices:
         require(matrix.ndim == 2, f"weights are {matrix.shape}, not (out, in)")
         require(matrix.size > 0, f"weights are {matrix.shape}: they are empty")
-        before = arrays[weights[layer - 1]].shape if layer else matrix.shape[1:]
-        require(
-            before[:1] == matrix.shape[1:],
-            f"layers {layer - 1} and {layer} are {before} and {matrix.shape}: they do not fit",
-        )
-        shapes[f"biases_{layer}"] = matrix.shape[:1]
-    shapes |= dict.fromkeys(("mean", "std"), arrays[weights[0]].shape[1:])
-    action_shape = arrays[weights[-1]].shape[:1]
-    shapes |= dict.fromkeys(("action_low", "action_high", "action_std"), action_shape)
+    for i, (a, b) in enumerate(itertools.pairwise(matrix.shape for matrix in matrices)):
+        require(a[0] == b[1], f"layers {i} and {i + 1} are {a} and {b}: they do not fit")
+    shapes = {f"biases_{i}": matrix.shape[:1] for i, matrix in enumerate(matrices)}
+    shapes |= dict.fromkeys(("mean", "std"), matrices[0].shape[1:])
+    shapes |= dict.fromkeys(("action_low", "action_high", "action_std"), matrices[-1].shape[:1])
     for name, array in arrays.items():
         shape = shapes.get(name, array.shape)
         require(array.shape == shape, f"{name} is {array.shape}, not {shape}")
@@ -106,4 +103,8 @@ def read_policy(path: Path) -> tuple[dict[str, np.ndarray], str]:
             f"{name} is not made of finite floating-point numbers",
         )
     require(bool((arrays["std"] > 0).all()), "std is not positive")
-    return {name: arrays[name] for name in (*COMMON_ARRAYS, *weights, *others)}, str(env_id)
+    fields: dict[str, Any] = {name: arrays[name] for name in (*COMMON_ARRAYS, *others)}
+    fields["env_id"] = str(env_id)
+    if not biases:
+        return fields | {"weights": matrices[0]}
+    return fields | {"weights": tuple(matrices), "biases": tuple(arrays[name] for name in biases)}

@@ -97,9 +97,9 @@ def write_minari(
     if is_own(env_id):
         env = gymnasium.Env()  # Minari reads only its spec and its spaces
         env.spec = EnvSpec(env_id, max_episode_steps=time_limit)
-        sizes = episodes[0].observations.shape[1], episodes[0].actions.shape[1]
-        boxes = (gymnasium.spaces.Box(-np.inf, np.inf, (size,)) for size in sizes)
-        env.observation_space, env.action_space = boxes
+        env.observation_space, env.action_space = (
+            gymnasium.spaces.Box(-np.inf, np.inf, array.shape[1:]) for array in episodes[0][:2]
+        )
     else:
         env = copy.deepcopy(gymnasium.spec(env_id))
         env.max_episode_steps = time_limit
@@ -136,9 +136,14 @@ def _require_harmless(directory: Path, source: str) -> None:
         raise UserError(f"{source} is not in the format hdf5, the only one that is read")
     path = directory / "main_data.hdf5"
     require_file(path)
-    sizes, problems = [], []
+    sizes: list[int] = []
+    problems: list[str] = []
 
-    def visit(name: str, item: Any) -> None:
+    def visit(name: str, link: Any) -> None:
+        if not isinstance(link, h5py.HardLink):
+            problems.append(f"holds a link: {name!a}")
+            return
+        item = file[name]
         if h5py.h5o.get_info(item.id).rc > 1:  # visited once here, but read once for each name
             problems.append(f"has several names for {name!a}")
         if isinstance(item, h5py.Dataset):
@@ -146,13 +151,8 @@ def _require_harmless(directory: Path, source: str) -> None:
             if item.external or item.is_virtual:
                 problems.append(f"points to other files: {name!a}")
 
-    def visit_link(name: str, link: Any) -> None:
-        if not isinstance(link, h5py.HardLink):
-            problems.append(f"holds a link: {name!a}")
-
     with h5py.File(path, "r") as file:
-        file.visititems(visit)
-        file.visititems_links(visit_link)
+        file.visititems_links(visit)
         if problems:
             raise UserError(f"{source} {problems[0]}")
         num_episodes = metadata.get("total_episodes")
@@ -174,8 +174,10 @@ def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
     spec = dataset.env_spec
     if spec is None and not is_own(env_id):
         raise UserError(f"{source} does not name its environment")
-    if spec is not None:
-        _require_same_task(spec, env_id, source)
+    if spec is not None and spec.id != env_id:
+        raise UserError(f"{source} is of {spec.id}, not of {env_id}")
+    if not is_own(env_id):
+        _require_default_arguments(spec, source)
     for name in ("observation_space", "action_space"):
         space = getattr(dataset, name)
         if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
@@ -184,22 +186,10 @@ def _time_limit(dataset: Any, env_id: str, source: str) -> int | None:
     return None if limit is None or limit > LONGEST_TIME_LIMIT else int(limit)
 
 
-def _require_same_task(spec: EnvSpec, env_id: str, source: str) -> None:
-    if spec.id != env_id:
-        raise UserError(f"{source} is of {spec.id}, not of {env_id}")
-    if is_own(env_id):
-        return
-    if env_id not in gymnasium.registry:
-        raise UserError(f"{source}: Gymnasium has no environment {env_id}")
-    changed = _changed_arguments(spec)
-    if changed:
-        raise UserError(
-            f"{source} is of {env_id} with {', '.join(changed)}: it must have the default arguments"
-        )
-
-
-def _changed_arguments(spec: EnvSpec) -> list[str]:
-    """Arguments and wrappers that make the task differ from the one registered as ``spec.id``."""
+def _require_default_arguments(spec: EnvSpec, source: str) -> None:
+    """Raise UserError if the task differs from the one registered as ``spec.id``."""
+    if spec.id not in gymnasium.registry:
+        raise UserError(f"{source}: Gymnasium has no environment {spec.id}")
 
     def plain(value: Any) -> Any:
         return list(value) if isinstance(value, tuple) else value  # JSON has no tuples
@@ -211,10 +201,15 @@ def _changed_arguments(spec: EnvSpec) -> list[str]:
     parameters = inspect.signature(creator).parameters
     defaults = {name: parameter.default for name, parameter in parameters.items()}
     defaults |= registered.kwargs
-    arguments = [
+    changed = [
         f"{name}={value}"
         for name, value in spec.kwargs.items()
         if name not in RENDERING and (name not in defaults or plain(value) != plain(defaults[name]))
     ]
     wrappers = [wrapper.name for wrapper in spec.additional_wrappers]
-    return arguments + [name for name in wrappers if not name.startswith("Record")]
+    changed += [name for name in wrappers if not name.startswith("Record")]
+    if changed:
+        raise UserError(
+            f"{source} is of {spec.id} with {', '.join(changed)}: it must have the default "
+            "arguments"
+        )

@@ -1,4 +1,4 @@
-"""Whole episodes on MuJoCo's C engine: each thread runs one episode after the other."""
+"""Episodes on MuJoCo's C engine: each thread runs one after the other."""
 
 import ctypes
 import itertools
@@ -19,12 +19,16 @@ from ailsrs_jax.envs.physics.base import (
     InitialState,
     Perceptrons,
     Range,
+    Segments,
     Trajectories,
+    segment_types,
     trajectory_types,
 )
 from ailsrs_jax.envs.physics.episode_loop import Engine, Layout, Perceptron, Trajectory
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.host_calls import POLL_SECONDS, Interrupted, host_call, interrupted, zeros
+
+Records = dict[str, jax.Array]
 
 
 class EpisodeRunner:
@@ -44,15 +48,10 @@ class EpisodeRunner:
         limits: Sequence[Range],
         recorded: Sequence[str],
     ) -> None:
-        """Prepare the simulation.
+        """Prepare threads that simulate ``model``, whose automatic reset must be disabled.
 
-        Args:
-            model: the model, with MuJoCo's automatic reset disabled.
-            frame_skip: physics steps in a step of an episode.
-            num_threads: threads that run episodes.
-            observed: what the policy sees, clipped to the limits.
-            limits: an episode ends when one of these numbers is not strictly within its limits.
-            recorded: fields of ``mjData`` that are recorded.
+        The policy sees the numbers ``observed``, clipped to their limits. An episode ends when one
+        of ``limits`` is not strictly within its limits. The fields ``recorded`` are recorded.
         """
         self._model, self._frame_skip, self._num_threads = model, frame_skip, num_threads
         self._observed, self._limits = observed, limits
@@ -60,13 +59,14 @@ class EpisodeRunner:
         self._senses = any(part.field == "cfrc_ext" for part in (*observed, *self._recorded))
         data = mujoco.MjData(model)
         self._shapes = {name: getattr(data, name).shape for name in recorded}
-        self.num_recorded = sum(map(math.prod, self._shapes.values()))
-        names = ("mj_step", "mj_rnePostConstraint")
-        self._step, self._sense = map(episode_loop.mujoco_function, names)
+        self._num_recorded = sum(map(math.prod, self._shapes.values()))
+        self._step, self._sense = map(
+            episode_loop.mujoco_function, ("mj_step", "mj_rnePostConstraint")
+        )
         self._own = threading.local()
         self._threads = ThreadPoolExecutor(num_threads, initializer=self._set_up_thread)
 
-    def __call__(
+    def run_episodes(
         self,
         policies: Perceptrons,
         starts: InitialState,
@@ -78,25 +78,95 @@ class EpisodeRunner:
         The ``records`` are a dictionary with ``(B, T + 1, ...)`` of each field.
         """
         sizes = policies.sizes
-        types = trajectory_types(len(noise), episode_length, sizes[0], sizes[-1], self.num_recorded)
+        types = trajectory_types(
+            len(noise), episode_length, sizes[0], sizes[-1], self._num_recorded
+        )
 
         def run(policies: Perceptrons, starts: InitialState, noise: np.ndarray) -> Trajectories:
             result: Trajectories = zeros(types)
-            perceptrons = perceptrons_of(policies)
+            perceptrons = _perceptrons(policies)
 
             def run_one(i: int, stop: np.ndarray) -> None:
-                self.begin(starts.qpos[i], starts.qvel[i])
-                result.lengths[i], result.diverged[i], _ = self.run_episode(
+                self._begin(starts.qpos[i], starts.qvel[i])
+                result.lengths[i], result.diverged[i], _ = self._run(
                     perceptrons[i], noise[i], stop, Trajectory(*(array[i] for array in result[:4]))
                 )
 
-            self.share(run_one, len(noise))
+            self._share(run_one, len(noise))
             return result
 
         result = host_call(run, types, policies, starts, noise)
-        return result._replace(records=self.by_field(result.records))
+        return result._replace(records=self._by_field(result.records))
 
-    def by_field(self, records: jax.Array) -> dict[str, jax.Array]:
+    def run_segments(
+        self,
+        policies: Perceptrons,
+        states: InitialState,
+        times: jax.Array,
+        restarts: InitialState,
+        noise: jax.Array,
+        episode_length: int,
+    ) -> tuple[InitialState, jax.Array, Segments, tuple[Records, Records]]:
+        """Go on with S episodes for L steps each; see ``MujocoTask.run_segments``.
+
+        An episode goes on from its positions and velocities, rounded to float32.
+
+        Returns:
+            The states and times after the segments, the segments, and the recorded fields before
+            and after each step.
+        """
+        segments = segment_types(noise.shape[:2], policies.sizes[0], policies.sizes[-1])
+        records = jax.ShapeDtypeStruct((*noise.shape[:2], self._num_recorded), np.float32)
+        types = jax.eval_shape(lambda *x: x, states, times, segments, (records, records))
+
+        def run(
+            policies: Perceptrons, states: Any, times: Any, restarts: Any, noise: np.ndarray
+        ) -> Any:
+            result = zeros(types)
+            new_states, new_times, segments, records = result
+            perceptrons, num_steps = _perceptrons(policies), noise.shape[1]
+            final = np.zeros((len(noise), policies.sizes[0]), np.float32)
+
+            def run_one(i: int, stop: np.ndarray) -> None:
+                start: tuple[Any, Any] = states.qpos[i], states.qvel[i]
+                time, step = times[i], 0
+                while step < num_steps and not stop[0]:
+                    most = min(num_steps - step, episode_length - time)
+                    trajectory = Trajectory(
+                        segments.observations[i, step : step + most],
+                        segments.actions[i, step : step + most],
+                        np.zeros((most + 1, self._num_recorded), np.float32),
+                        final[i],
+                    )
+                    self._begin(*start, goes_on=time > 0)
+                    length, diverged, terminated = self._run(
+                        perceptrons[i], noise[i, step:], stop, trajectory
+                    )
+                    end = step + length
+                    following = segments.next_observations[i, step:end]
+                    following[:-1], following[-1:] = trajectory.observations[1:length], final[i]
+                    records[0][i, step:end] = trajectory.records[:length]
+                    records[1][i, step:end] = trajectory.records[1 : length + 1]
+                    step, time = end + diverged, time + length
+                    over = diverged or terminated or time == episode_length
+                    segments.diverged[i, step - 1] = diverged
+                    segments.terminated[i, step - 1] = terminated
+                    segments.over[i, step - 1] = over
+                    if over:
+                        start, time = (restarts.qpos[i, step - 1], restarts.qvel[i, step - 1]), 0
+                    else:
+                        start = self._own.data.qpos.copy(), self._own.data.qvel.copy()
+                new_states.qpos[i], new_states.qvel[i] = start
+                new_times[i] = time
+
+            self._share(run_one, len(noise))
+            return result
+
+        result = host_call(run, types, policies, states, times, restarts, noise)
+        *others, (before, after) = result
+        return (*others, (self._by_field(before), self._by_field(after)))
+
+    def _by_field(self, records: jax.Array) -> Records:
         """Split ``records (B, T, r)`` into the recorded fields ``(B, T, ...)``."""
         ends = np.cumsum([math.prod(shape) for shape in self._shapes.values()])
         parts = jnp.split(records, ends[:-1], axis=2)
@@ -105,7 +175,7 @@ class EpisodeRunner:
             for (name, shape), numbers in zip(self._shapes.items(), parts, strict=True)
         }
 
-    def begin(self, qpos: Any, qvel: Any, goes_on: bool = False) -> None:
+    def _begin(self, qpos: Any, qvel: Any, goes_on: bool = False) -> None:
         """Put this thread's ``mjData`` into a state, perhaps in the middle of an episode.
 
         As in Gymnasium's ``MujocoEnv.reset``, no force has acted yet at the beginning.
@@ -117,20 +187,16 @@ class EpisodeRunner:
         if goes_on and self._senses:
             mujoco.mj_rnePostConstraint(self._model, data)
 
-    def run_episode(
+    def _run(
         self, policy: Perceptron, noise: np.ndarray, stop: np.ndarray, trajectory: Trajectory
     ) -> tuple[int, bool, bool]:
-        """Call :func:`~ailsrs_jax.envs.physics.episode_loop.run_episode` after :meth:`begin`."""
+        """Call :func:`~ailsrs_jax.envs.physics.episode_loop.run_episode` from there on."""
         own = self._own
         return episode_loop.run_episode(
             own.engine, own.memory, own.warnings, own.layout, policy, noise, stop, trajectory
         )
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities of this thread's ``mjData``."""
-        return self._own.data.qpos.copy(), self._own.data.qvel.copy()
-
-    def share(self, run_one: Callable[[int, np.ndarray], None], number: int) -> None:
+    def _share(self, run_one: Callable[[int, np.ndarray], None], number: int) -> None:
         """Let the threads share the calls ``run_one(i, stop)`` for ``i`` in ``range(number)``.
 
         Raises:
@@ -200,7 +266,7 @@ class EpisodeRunner:
         )
 
 
-def perceptrons_of(policies: Perceptrons) -> list[Perceptron]:
+def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
     """Return each of the policies, for compiled code."""
     sizes = np.array(policies.sizes)
     return [Perceptron(sizes, *arrays) for arrays in zip(*jax.tree.leaves(policies), strict=True)]

@@ -16,7 +16,7 @@ from ailsrs_jax.errors import UserError
 class Ant(SpatialWalker):
     """Gymnasium's ``Ant-v5``, with its constructor flags."""
 
-    POSITION_READING: ClassVar[str] = "xpos"
+    _reward_readings: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")
 
     xml_file: str = "ant.xml"
     ctrl_cost_weight: float = 0.5

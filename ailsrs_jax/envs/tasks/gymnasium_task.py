@@ -25,6 +25,8 @@ class GymnasiumTask(MujocoTask):
     """
 
     NUM_HIDDEN_POSITIONS: ClassVar[int] = 1  # leading entries of qpos that can be excluded
+    # Fields of ``mjData`` that the reward needs besides positions and velocities.
+    _reward_readings: ClassVar[tuple[str, ...]] = ()
 
     # The argument is an engine's name; the attribute of the same name is the engine itself.
     physics: dataclasses.InitVar[str] = dataclasses.field(default="auto", kw_only=False)
@@ -43,18 +45,18 @@ class GymnasiumTask(MujocoTask):
             frame_skip=self.frame_skip,
             reset_noise_scale=self.reset_noise_scale,
             num_hidden_positions=self.NUM_HIDDEN_POSITIONS * excluded,
-            readings=self._reward_readings(),
+            readings=self._reward_readings,
         )
-
-    def _reward_readings(self) -> tuple[str, ...]:
-        return ()
 
     def _reward_terms(
         self, before: PhysicsState, after: PhysicsState, action: jax.Array
     ) -> dict[str, jax.Array]:
-        velocity = self._forward_velocity(before, after)
-        forward = {"reward_forward": self.forward_reward_weight * velocity}
+        moved = self._forward_position(after) - self._forward_position(before)
+        forward = {"reward_forward": self.forward_reward_weight * (moved / self.dt)}
         return forward | self._cost_terms(after, action)
+
+    def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
+        return physics_state.qpos[0]
 
     def _cost_terms(self, after: PhysicsState, action: jax.Array) -> dict[str, jax.Array]:
         del after
@@ -115,7 +117,6 @@ class SpatialWalker(Walker):
     """
 
     NUM_HIDDEN_POSITIONS: ClassVar[int] = 2
-    POSITION_READING: ClassVar[str]  # the field of ``mjData`` that gives the forward position
 
     frame_skip: int = 5
     contact_cost_weight: float
@@ -124,9 +125,6 @@ class SpatialWalker(Walker):
     @abstractmethod
     def _contact_cost(self, physics_state: PhysicsState) -> jax.Array:
         """The cost of the forces on the bodies, ``()``."""
-
-    def _reward_readings(self) -> tuple[str, ...]:
-        return self.POSITION_READING, "cfrc_ext"
 
     def _cost_terms(self, after: PhysicsState, action: jax.Array) -> dict[str, jax.Array]:
         terms = super()._cost_terms(after, action)

@@ -20,7 +20,7 @@ class Humanoid(SpatialWalker):
     1e-6 rad/s in the median and 4e-4 rad/s at the 99th percentile.
     """
 
-    POSITION_READING: ClassVar[str] = "xipos"
+    _reward_readings: ClassVar[tuple[str, ...]] = ("xipos", "cfrc_ext")
 
     xml_file: str = "humanoid.xml"
     forward_reward_weight: float = 1.25

@@ -186,7 +186,7 @@ class MujocoTask(Env):
         Returns:
             The episodes, and rewards ``(B, T)`` that mean nothing after an episode's end.
         """
-        episodes = self._episode_runner(policies, starts, noise, episode_length)
+        episodes = self._episode_runner.run_episodes(policies, starts, noise, episode_length)
         before = jax.tree.map(lambda x: x[:, :-1], episodes.records)
         after = jax.tree.map(lambda x: x[:, 1:], episodes.records)
         return episodes, self._recorded_rewards(before, after, episodes.actions)
@@ -218,10 +218,8 @@ class MujocoTask(Env):
         Returns:
             States and times afterwards, the segments, and rewards ``(S, L)``.
         """
-        from ailsrs_jax.envs.physics.segment_runner import run_segments  # slow to import
-
-        states, times, segments, records = run_segments(
-            self._episode_runner, policies, states, times, restarts, noise, episode_length
+        states, times, segments, records = self._episode_runner.run_segments(
+            policies, states, times, restarts, noise, episode_length
         )
         return states, times, segments, self._recorded_rewards(*records, segments.actions)
 
@@ -291,9 +289,3 @@ class MujocoTask(Env):
 
     def _normal_velocity(self, key: jax.Array) -> jax.Array:
         return self._reset_noise_scale * jax.random.normal(key, (self.physics.model.nv,))
-
-    def _forward_velocity(self, before: PhysicsState, after: PhysicsState) -> jax.Array:
-        return (self._forward_position(after) - self._forward_position(before)) / self.dt
-
-    def _forward_position(self, physics_state: PhysicsState) -> jax.Array:
-        return physics_state.qpos[0]

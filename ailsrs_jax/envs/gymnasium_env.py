@@ -136,27 +136,16 @@ class GymnasiumEnv:
         def run(
             policies: Perceptrons, states: Any, times: Any, seeds: np.ndarray, noise: np.ndarray
         ) -> Any:
-            results = self._pool.run(
-                [
-                    SegmentRequest(
-                        policy=policy,
-                        noise=noise[i],
-                        seed=int(states.seed[i]),
-                        actions=states.actions[i, : times[i]],
-                        restarts=seeds[i],
-                        episode_length=episode_length,
-                        place=i,
-                    )
-                    for i, policy in enumerate(_perceptrons(policies))
-                ]
-            )
-            *columns, last_seeds, actions = zip(*results, strict=True)
+            so_far = [actions[:time] for actions, time in zip(states.actions, times)]
+            rows = zip(_perceptrons(policies), noise, states.seed.tolist(), so_far, seeds)
+            requests = [SegmentRequest(*row, episode_length, i) for i, row in enumerate(rows)]
+            *columns, last_seeds, actions = zip(*self._pool.run(requests), strict=True)
             observations, taken, following, rewards, *ends = map(np.stack, columns)
-            so_far = np.zeros_like(states.actions)
-            for row, numbers in zip(so_far, actions, strict=True):
+            padded = np.zeros_like(states.actions)
+            for row, numbers in zip(padded, actions, strict=True):
                 row[: len(numbers)] = numbers
             return (
-                Unfinished(np.array(last_seeds, np.int32), so_far),  # type: ignore[arg-type]
+                Unfinished(np.array(last_seeds, np.int32), padded),  # type: ignore[arg-type]
                 np.array(list(map(len, actions)), np.int32),
                 Segments(observations, taken, following, *ends),
                 rewards,
@@ -178,13 +167,8 @@ class GymnasiumEnv:
         Raises:
             UserError: the policy or the environment has raised an exception.
         """
-        num_steps = noise.shape[1]
-        return self._run_requests(
-            [
-                Request(policy, noise[i], seed, start=None, episode_length=num_steps)
-                for i, seed in enumerate(seeds)
-            ]
-        )
+        rows = zip(noise, seeds, strict=True)
+        return self._run_requests([Request(policy, *row, None, noise.shape[1]) for row in rows])
 
     def _run_requests(self, requests: Sequence[Request]) -> tuple[Trajectories, np.ndarray]:
         types = self._types(len(requests), requests[0].episode_length)
@@ -207,23 +191,18 @@ class GymnasiumEnv:
 
 def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
     """Return each of the policies, as the workers take them."""
+    shapes = list(itertools.pairwise(policies.sizes))
+    ends = np.cumsum([size for n, p in shapes for size in (n * p, p)])[:-1]
+
+    def layers(parameters: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        parts = np.split(parameters, ends)
+        weights = [matrix.reshape(shape) for matrix, shape in zip(parts[::2], shapes)]
+        return tuple(zip(weights, parts[1::2]))
+
     return [
-        Perceptron(layers_of(policies.sizes, parameters), *others)
+        Perceptron(layers(parameters), *others)
         for parameters, *others in zip(*jax.tree.leaves(policies), strict=True)
     ]
-
-
-def layers_of(
-    sizes: tuple[int, ...], parameters: np.ndarray
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Split parameters into the weights ``(in, out)`` and biases ``(out,)`` of each layer."""
-    layers, start = [], 0
-    for inputs, outputs in itertools.pairwise(sizes):
-        end = start + inputs * outputs
-        weights = parameters[start:end].reshape(inputs, outputs)
-        layers.append((weights, parameters[end : end + outputs]))
-        start = end + outputs
-    return tuple(layers)
 
 
 def _parse_workers(workers: int | str | None) -> tuple[int, Any]:

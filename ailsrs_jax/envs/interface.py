@@ -29,11 +29,9 @@ def require_env(env: Any) -> None:
     layer = env
     while layer is not None:  # wrappers of Brax and of Playground call the wrapped one env
         wrapper = type(layer).__name__
-        bases = [base.__name__ for base in type(layer).__mro__]
-        require("Vmap" not in str(bases), f"{wrapper} makes it a batch: remove this wrapper")
-        require(
-            "AutoReset" not in str(bases), f"{wrapper} restarts its episodes: remove this wrapper"
-        )
+        bases = str([base.__name__ for base in type(layer).__mro__])
+        for word, fault in (("Vmap", "makes it a batch"), ("AutoReset", "restarts its episodes")):
+            require(word not in bases, f"{wrapper} {fault}: remove this wrapper")
         layer = getattr(layer, "env", None)
 
     with refusing(f"{name}: JAX cannot trace it"):
@@ -97,16 +95,11 @@ def action_range(env: Env) -> tuple[jax.Array, jax.Array]:
 
 def _changed_types(state: State, next_state: State) -> list[str]:
     """Names of the state's leaves whose shape or type a loop over steps cannot carry."""
-    before, after = (
-        {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
-        for leaves, _ in map(jax.tree_util.tree_flatten_with_path, (state, next_state))
-    )
-    return [
-        name
-        for name in sorted(before.keys() | after.keys())
-        if name not in before
-        or name not in after
-        or before[name].shape != after[name].shape
+    before, after = (dict(jax.tree_util.tree_leaves_with_path(x)) for x in (state, next_state))
+    changed = before.keys() ^ after.keys()
+    for path in before.keys() & after.keys():
+        old, new = before[path], after[path]
         # A plain Python number has a weak type, which JAX adapts.
-        or (before[name].dtype != after[name].dtype and not before[name].weak_type)
-    ]
+        if old.shape != new.shape or (old.dtype != new.dtype and not old.weak_type):
+            changed.add(path)
+    return sorted(jax.tree_util.keystr(path).lstrip(".") for path in changed)

@@ -69,18 +69,10 @@ def trajectory_types(
     num_episodes: int, episode_length: int, n: int, p: int, num_records: int = 0
 ) -> Trajectories:
     """Return the shapes and types of episodes with n observed numbers and p actions."""
-
-    def numbers(*shape: int) -> Any:
-        return jax.ShapeDtypeStruct((num_episodes, *shape), np.float32)
-
-    return Trajectories(
-        observations=numbers(episode_length, n),
-        actions=numbers(episode_length, p),
-        records=numbers(episode_length + 1, num_records),
-        final_observations=numbers(n),
-        lengths=jax.ShapeDtypeStruct((num_episodes,), np.int32),
-        diverged=jax.ShapeDtypeStruct((num_episodes,), bool),
-    )
+    shapes = (episode_length, n), (episode_length, p), (episode_length + 1, num_records), (n,)
+    arrays = [jax.ShapeDtypeStruct((num_episodes, *shape), np.float32) for shape in shapes]
+    ends = [jax.ShapeDtypeStruct((num_episodes,), kind) for kind in (np.int32, bool)]
+    return Trajectories(*arrays, *ends)
 
 
 def segment_types(shape: tuple[int, ...], n: int, p: int) -> Segments:
@@ -103,19 +95,12 @@ class PhysicsState(struct.PyTreeNode):
 
 
 class Physics(Protocol):
-    """Simulates one MuJoCo model; its methods are pure and batched by ``jax.vmap``.
+    """Simulates one MuJoCo model; its methods are pure and batched by ``jax.vmap``."""
 
-    Attributes:
-        name: the engine's name on the command line.
-        model: the MuJoCo model that is simulated.
-        frame_skip: physics steps in one call of :meth:`step`.
-        readings: fields of MuJoCo's ``mjData`` that every state carries.
-    """
-
-    name: str
+    name: str  # on the command line
     model: mujoco.MjModel
-    frame_skip: int
-    readings: tuple[str, ...]
+    frame_skip: int  # physics steps in one call of step
+    readings: tuple[str, ...]  # fields of MuJoCo's mjData that every state carries
 
     def init(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
         """Start a simulation at time zero from positions ``(nq,)`` and velocities ``(nv,)``.

@@ -35,7 +35,6 @@ class WarpPhysics(MjxPhysics):
     def __init__(
         self, model: mujoco.MjModel, frame_skip: int, readings: tuple[str, ...] = ()
     ) -> None:
-        require_warp()
         if "cfrc_ext" in readings:
             raise UserError("physics 'warp' gives no contact forces (cfrc_ext): use physics mjx")
         super().__init__(model, frame_skip, readings)

@@ -126,7 +126,7 @@ def compare(
     if output is not None:
         from ailsrs_jax.files import require_writable, write_atomically
         from ailsrs_jax.runs.storage.saved_run import read_run
-        from ailsrs_jax.show.reports.comparison_page import comparison_page
+        from ailsrs_jax.show.reports.sweep_page import comparison_page
 
         require_writable(output)
         saved = {row[0]: read_run(path) for row, path in zip(rows, paths)}

@@ -63,7 +63,7 @@ def render(
     if learning and play:
         raise UserError("--learning is a film, and --play is a page: leave out one of them")
     if play:
-        from ailsrs_jax.show.play import write_play
+        from ailsrs_jax.show.learning import write_play
 
         with terminal.stage("writing the page"):
             names = write_play(policy, output, expert=expert, alone=alone, seed=seed)

@@ -1,12 +1,10 @@
 """The training curves of runs."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import style
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ailsrs_jax.files import write_atomically
@@ -14,8 +12,8 @@ from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.style import COLORS, EXPERT, STYLE, encoded, panels
 
 # The panels: a column of metrics.csv, the label of its axis and the limits of that axis.
-PANELS = {
-    "evaluation_return": ("return", None),
+PANELS: dict[str, tuple[str, tuple[float | None, float | None]]] = {
+    "evaluation_return": ("return", (None, None)),
     "expert_distance": ("energy distance to expert", (0, None)),
     "policy_score": ("discriminator's score", (0, 1)),
     "validation_loss": ("validation loss", (0, None)),
@@ -25,6 +23,7 @@ EVEN = 0.5  # the score of a discriminator that cannot tell the policy from the 
 MOST_NAMED = 8  # seeds in the legend
 DASHED = (0, (4, 1.5))
 DOTTED: dict[str, Any] = {"color": "0.6", "linestyle": (0, (1, 2)), "linewidth": 1, "zorder": 1}
+GAP: dict[str, Any] = {"alpha": 0.08, "linewidth": 0}  # between expert and policy
 LARGER: list[Any] = [STYLE, {"font.size": 9}]
 
 
@@ -50,24 +49,32 @@ def draw_curves(run: SavedRun) -> Figure:
     columns = [name for name in PANELS if name in run.metrics]
     with style.context(LARGER):
         figure, all_axes = panels(columns, len(PANELS), row_height=2.9, width=4 * len(columns))
-        for index, (seed, mine) in enumerate(by_seed(run).items()):
-            color = COLORS[index % len(COLORS)]
-            steps = mine["env_steps"] / 1e6
-            at = mine["iteration"] == run.kept_iterations.get(seed)
-            for name, axes in all_axes.items():
-                named = f"seed {seed}" if index < MOST_NAMED and name == "evaluation_return" else ""
+        for name, axes in all_axes.items():
+            for index, (seed, mine) in enumerate(by_seed(run).items()):
+                color, steps = COLORS[index % len(COLORS)], mine["env_steps"] / 1e6
+                at = mine["iteration"] == run.kept_iterations.get(seed)
+                named = f"seed {seed}" if index < MOST_NAMED else ""
                 axes.plot(steps, mine[name], color=color, label=named)
                 axes.plot(steps[at], mine[name][at], "o", color=color, markersize=6)
-                if name == "policy_score":
-                    _draw_expert_score(axes, mine, color)
-        for name, axes in all_axes.items():
+                if name == "policy_score" and "expert_score" in mine:
+                    expert = mine["expert_score"]
+                    axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
+                    axes.fill_between(steps, mine[name], expert, **GAP, color=color)
             label, limits = PANELS[name]
-            axes.set(xlabel=STEPS, ylabel=label)
-            if limits is not None:
-                axes.set(ylim=limits)
-        _explain_returns(all_axes["evaluation_return"], run)
-        if "policy_score" in all_axes:
-            _explain_scores(all_axes["policy_score"])
+            if name == "evaluation_return":
+                if run.imitates:  # not trained on
+                    label = "return (not used)"
+                if run.expert_return is not None:
+                    axes.axhline(run.expert_return, label="expert", **EXPERT)
+                axes.legend()
+            elif name == "policy_score":
+                lines = {"of the expert": DASHED, "of the policy": "-"}
+                handles = [
+                    axes.plot([], [], color="black", linestyle=line)[0] for line in lines.values()
+                ]
+                handles.append(axes.axhline(EVEN, **DOTTED))
+                axes.legend(handles, [*lines, "cannot tell"])
+            axes.set(xlabel=STEPS, ylabel=label, ylim=limits)
     return figure
 
 
@@ -75,29 +82,3 @@ def by_seed(run: SavedRun) -> dict[int, dict[str, np.ndarray]]:
     """Return the metrics of each seed, in the order of the seeds in ``metrics.csv``."""
     seeds = dict.fromkeys(run.metrics["seed"].astype(int).tolist())
     return {seed: run.of_seed(seed) for seed in seeds}
-
-
-def _draw_expert_score(axes: Axes, metrics: Mapping[str, np.ndarray], color: str) -> None:
-    """Draw the expert's score, dashed, and shade the gap to the policy's."""
-    if "expert_score" not in metrics:
-        return
-    steps, expert = metrics["env_steps"] / 1e6, metrics["expert_score"]
-    axes.plot(steps, expert, color=color, linestyle=DASHED, linewidth=1.0)
-    axes.fill_between(steps, metrics["policy_score"], expert, color=color, alpha=0.08, linewidth=0)
-
-
-def _explain_returns(axes: Axes, run: SavedRun) -> None:
-    """Add the expert's return and a legend; imitators do not train on the return."""
-    if run.imitates:
-        axes.set_ylabel("return (not used)")
-    if (expert := run.expert_return) is not None:
-        axes.axhline(expert, label="expert", **EXPERT)
-    axes.legend()
-
-
-def _explain_scores(axes: Axes) -> None:
-    """Add a legend of the line styles; the colours are explained elsewhere."""
-    lines = {"of the expert": DASHED, "of the policy": "-"}
-    handles = [axes.plot([], [], color="black", linestyle=line)[0] for line in lines.values()]
-    handles.append(axes.axhline(EVEN, **DOTTED))
-    axes.legend(handles, [*lines, "cannot tell"])

@@ -5,7 +5,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib import style
@@ -41,7 +41,9 @@ from ailsrs_jax.sweeps.statistics import (
 
 LONGEST_SLUG = 100  # characters of a series in the name of a file
 NUMBERS_OF_SEEDS = (1, 3, 5)  # as in the paper's Figure 3
+MEASURES = {"normalized": "kept policy", "normalized_over_training": "mean over training"}
 
+T = TypeVar("T")
 Looks = dict[str, dict[str, Any]]  # colour, marker and line style of each series
 
 
@@ -67,10 +69,37 @@ def draw_figures(results: SweepResults) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
+def number_given(group: Group) -> int:
+    """Return the number of demonstrations, 0 if there are none."""
+    return group.num_trajectories or 0
+
+
+def split(groups: Iterable[Group], name: str) -> dict[str, list[Group]]:
+    """Return the groups by their ``series`` or ``env_id``, in the order of ``groups``."""
+    found: dict[str, list[Group]] = {}
+    for group in groups:
+        found.setdefault(getattr(group, name), []).append(group)
+    return found
+
+
+def most_demonstrated(
+    groups: Iterable[Group], of_cells: Mapping[str, T]
+) -> list[tuple[Group, list[T]]]:
+    """Return, for each task and series, the group with the most demonstrations.
+
+    Beside it are the values ``of_cells`` in the order of seeds. Groups without any do not count.
+    """
+    chosen = {}
+    for group in sorted(groups, key=number_given):
+        cells = sorted(group.cells, key=lambda cell: cell.seed)
+        if values := [of_cells[cell.cell] for cell in cells if cell.cell in of_cells]:
+            chosen[group.env_id, group.series] = group, values
+    return list(chosen.values())
+
+
 def looks_of(groups: Iterable[Group]) -> Looks:
     """Return the look of each series."""
-    series = dict.fromkeys(group.series for group in groups)
-    cycles = zip(series, *map(itertools.cycle, (COLORS, MARKERS, LINES)))
+    cycles = zip(split(groups, "series"), *map(itertools.cycle, (COLORS, MARKERS, LINES)))
     return {
         name: {"color": color, "marker": marker, "linestyle": line}
         for name, color, marker, line in cycles
@@ -86,29 +115,25 @@ def draw_demonstrations(groups: Sequence[Group], looks: Looks) -> Figure | None:
     numbers = sorted({group.num_trajectories for group in groups if group.num_trajectories})
     if len(numbers) < 2:
         return None
-    series = [name for name in looks if any(group.series == name for group in groups)]
-    figure, axes_of = _task_panels(groups)
+    series = list(split(groups, "series"))
+    figure, tasks = _task_panels(groups)
     apart = min(0.12 * np.diff(numbers).min(), 0.03 * np.ptp(numbers))
-    for task, axes in axes_of.items():
-        mine = [group for group in groups if group.env_id == task]
+    for axes, mine in tasks:
         draw_levels(axes, mine)
+        by_series = split(sorted(mine, key=number_given), "series")
         for index, name in enumerate(series):
-            shift = apart * (index - (len(series) - 1) / 2)
-            points = sorted(
-                (group.num_trajectories or 0, group.values("return_mean"))
-                for group in mine
-                if group.series == name
-            )
-            if not points:
+            if name not in by_series:
                 continue
-            at = np.array([number for number, _ in points]) + shift
-            means, stds = np.array([mean_std(returns) for _, returns in points]).T
+            shift = apart * (index - (len(series) - 1) / 2)
+            at = np.array([number_given(group) + shift for group in by_series[name]])
+            returns = [group.values("return_mean") for group in by_series[name]]
+            means, stds = np.array(list(map(mean_std, returns))).T
             axes.errorbar(at, means, stds, label=name, **looks[name])
-            for x, (_, returns) in zip(at, points):
+            for x, each in zip(at, returns):
                 dots = {"color": looks[name]["color"], "alpha": 0.45, "markersize": 3}
-                axes.plot([x] * len(returns), returns, ".", **dots)
-        axes.set(title=task, xlabel="demonstrations", ylabel="return", xticks=numbers)
-    add_legend(figure, axes_of.values())
+                axes.plot([x] * len(each), each, ".", **dots)
+        axes.set(xlabel="demonstrations", ylabel="return", xticks=numbers)
+    add_legend(figure)
     return figure
 
 
@@ -120,32 +145,25 @@ def draw_training_curves(
     Curves are those with the most demonstrations. Thin lines are raw, thick lines smoothed by a
     Gaussian filter. No seed is left out.
     """
-    for name, slug in _slugs(dict.fromkeys(group.series for group in groups)).items():
-        chosen: dict[str, Group] = {}
-        for group in sorted(groups, key=lambda group: group.num_trajectories or 0):
-            if group.series == name and any(cell.cell in results.curves for cell in group.cells):
-                chosen[group.env_id] = group
+    by_series = split(groups, "series")
+    for (name, mine), slug in zip(by_series.items(), _slugs(by_series)):
+        chosen = most_demonstrated(mine, results.curves)
         if not chosen:
             continue
-        figure, axes_of = _task_panels(chosen.values())
-        for task, axes in axes_of.items():
-            group = chosen[task]
-            cells = sorted(group.cells, key=lambda cell: cell.seed)
-            curves = [results.curves[cell.cell] for cell in cells if cell.cell in results.curves]
+        figure, tasks = _task_panels(group for group, _ in chosen)
+        for (axes, _), (group, curves) in zip(tasks, chosen):
             if group.has_comparable_curves:
                 draw_levels(axes, [group])
-            for number, color, line in zip(NUMBERS_OF_SEEDS, COLORS, LINES):
-                if number > len(curves):
-                    continue
-                curve = mean_curve(curves[:number])
+            numbers = [number for number in NUMBERS_OF_SEEDS if number <= len(curves)]
+            for number, color, line in zip(numbers, COLORS, LINES):
+                curve, label = mean_curve(curves[:number]), f"{number} seed{'s' * (number > 1)}"
                 axes.plot(curve.iterations, curve.returns, color=color, linewidth=0.6, alpha=0.5)
-                (thick,) = axes.plot(curve.iterations, smoothed(curve.returns), color=color)
-                label = f"{number} seed{'s' * (number > 1)}"
-                thick.set(linestyle=line, linewidth=1.6, label=label)
+                thick: Any = {"color": color, "linestyle": line, "linewidth": 1.6, "label": label}
+                axes.plot(curve.iterations, smoothed(curve.returns), **thick)
             n = group.num_trajectories
             given = f" ({n} demonstration{'s' * (n != 1)})" if n else ""
-            axes.set(title=task, xlabel=f"iteration{given}", ylabel="return")
-        add_legend(figure, axes_of.values(), title=f"{name} · thin raw, thick smoothed")
+            axes.set(xlabel=f"iteration{given}", ylabel="return")
+        add_legend(figure, title=f"{name} · thin raw, thick smoothed")
         yield f"figure_3_{slug}", figure
 
 
@@ -158,8 +176,12 @@ def draw_scores(groups: Sequence[Group], looks: Looks) -> Figure | None:
     groups = [group for group in groups if scores([group])]
     if not groups:
         return None
-    series = list(dict.fromkeys(group.series for group in groups))
-    columns = _score_columns(groups)
+    series, columns = list(split(groups, "series")), split(groups, "env_id")
+    common = comparable(groups)
+    shared = [group for mine in common.values() for group in mine]
+    number = len(split(shared, "env_id"))
+    if number > 1 and all(common.values()):
+        columns["all tasks" if number == len(columns) else f"{number} common tasks"] = shared
     names = [textwrap.fill(name, 24) for name in series]
     row_height = max(0.34, *(0.15 * (name.count("\n") + 1) for name in names))
     figure = Figure((WIDTH, 0.9 + row_height * len(names)), layout="constrained")
@@ -169,9 +191,14 @@ def draw_scores(groups: Sequence[Group], looks: Looks) -> Figure | None:
         axes.axvline(1, **EXPERT)
         for row, name in enumerate(series):
             mine = [group for group in column if group.series == name]
-            _draw_interval(axes, row - 0.06, scores(mine), looks[name], filled=True)
-            over_training = scores(mine, "normalized_over_training")
-            _draw_interval(axes, row + 0.2, over_training, looks[name], filled=False)
+            color, marker = looks[name]["color"], looks[name]["marker"]
+            for measure, shift, face in zip(MEASURES, (-0.06, 0.2), (color, "white")):
+                if strata := scores(mine, measure):
+                    iqm = interquartile_mean(strata)
+                    # Rounding can put the ends for equal scores on the wrong side of the mean.
+                    reach = np.maximum([[iqm.value - iqm.low], [iqm.high - iqm.value]], 0)
+                    look = {"color": color, "marker": marker, "markerfacecolor": face}
+                    axes.errorbar([iqm.value], [row + shift], xerr=reach, markersize=3.5, **look)
             runs = np.concatenate([[], *scores(mine)])
             axes.plot(runs, [row - 0.27] * len(runs), ".", color="0.5", markersize=2)
         axes.set_title(title, fontsize=8.5 if len(columns) <= 5 else 7)
@@ -183,44 +210,15 @@ def draw_scores(groups: Sequence[Group], looks: Looks) -> Figure | None:
     return figure
 
 
-def _score_columns(groups: Sequence[Group]) -> dict[str, Sequence[Group]]:
-    """Return the groups of each task, and all that can be compared over several tasks."""
-    tasks = list(dict.fromkeys(group.env_id for group in groups))
-    columns: dict[str, Sequence[Group]] = {
-        task: [group for group in groups if group.env_id == task] for task in tasks
-    }
-    common = comparable(groups)
-    shared = [group for mine in common.values() for group in mine]
-    number = len({group.env_id for group in shared})
-    if number > 1 and all(common.values()):
-        columns["all tasks" if number == len(tasks) else f"{number} common tasks"] = shared
-    return columns
-
-
-def _draw_interval(
-    axes: Axes, y: float, strata: list[np.ndarray], look: Mapping[str, Any], *, filled: bool
-) -> None:
-    """Draw an interquartile mean and its interval at the height ``y``, if there are any scores."""
-    if not strata:
-        return
-    iqm = interquartile_mean(strata)
-    # Rounding can put the ends of an interval of equal scores on the wrong side of the mean.
-    reach = np.maximum([[iqm.value - iqm.low], [iqm.high - iqm.value]], 0)
-    marker = {"color": look["color"], "marker": look["marker"], "markersize": 3.5}
-    face = look["color"] if filled else "white"
-    axes.errorbar([iqm.value], [y], xerr=reach, markerfacecolor=face, **marker)
-
-
 def draw_profiles(groups: Sequence[Group], looks: Looks) -> Figure | None:
     """Draw performance profiles: the share of runs above each normalised return, with 95 % bands.
 
     They compare series only under the conditions in which all of them were measured.
     """
     common = comparable(groups)
-    titles = {"normalized": "kept policy", "normalized_over_training": "mean over training"}
     figure = Figure((WIDTH, 2.5), layout="constrained")
-    all_axes = figure.subplots(1, len(titles), sharey=True)
-    for axes, (measure, title) in zip(all_axes, titles.items(), strict=True):
+    all_axes = figure.subplots(1, len(MEASURES), sharey=True)
+    for axes, (measure, title) in zip(all_axes, MEASURES.items(), strict=True):
         for name, mine in common.items():
             if strata := scores(mine, measure):
                 profile = performance_profile(strata)
@@ -233,7 +231,7 @@ def draw_profiles(groups: Sequence[Group], looks: Looks) -> Figure | None:
     all_axes[0].set_ylabel("share of runs above τ")
     if not any(axes.lines for axes in all_axes):
         return None
-    add_legend(figure, all_axes)
+    add_legend(figure)
     return figure
 
 
@@ -242,7 +240,7 @@ def draw_levels(axes: Axes, groups: Sequence[Group]) -> None:
     experts: dict[str, dict[int, float]] = {}  # mean return by source and number
     for group in groups:
         levels = experts.setdefault(group.cells[0].demonstrations, {})
-        levels[group.num_trajectories or 0] = float(group.values("expert_return").mean())
+        levels[number_given(group)] = float(group.values("expert_return").mean())
     for levels in experts.values():
         numbers, returns = zip(*sorted(levels.items()))
         if len(numbers) > 1:
@@ -253,18 +251,22 @@ def draw_levels(axes: Axes, groups: Sequence[Group]) -> None:
     axes.axhline(random, label="random", **RANDOM)
 
 
-def _task_panels(groups: Iterable[Group]) -> tuple[Figure, dict[str, Axes]]:
-    tasks = list(dict.fromkeys(group.env_id for group in groups))
-    return panels(tasks, most_columns=2 if len(tasks) <= 4 else 3, row_height=2.0)
+def _task_panels(groups: Iterable[Group]) -> tuple[Figure, list[tuple[Axes, list[Group]]]]:
+    """Return a figure, and for each task its axes, with a title, and its groups."""
+    tasks = split(groups, "env_id")
+    figure, axes_of = panels(list(tasks), most_columns=2 if len(tasks) <= 4 else 3, row_height=2.0)
+    for task, axes in axes_of.items():
+        axes.set(title=task)
+    return figure, list(zip(axes_of.values(), tasks.values()))
 
 
-def _slugs(names: Iterable[str]) -> dict[str, str]:
+def _slugs(names: Iterable[str]) -> list[str]:
     """Return a different part of a file name for each series."""
-    slugs: dict[str, str] = {}
+    slugs: list[str] = []
     for name in names:
         plain = slug = re.sub(r"\W+", "_", name.lower()).strip("_")[:LONGEST_SLUG]
         numbers = itertools.count(2)
-        while slug in slugs.values():
+        while slug in slugs:
             slug = f"{plain}_{next(numbers)}"
-        slugs[name] = slug
+        slugs.append(slug)
     return slugs

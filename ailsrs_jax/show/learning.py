@@ -1,4 +1,4 @@
-"""A film of a run: policies of a few iterations side by side, above the learning curve."""
+"""Policies of several iterations of a run: a film of them, and a page on which they run."""
 
 import dataclasses
 import functools
@@ -12,17 +12,26 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ailsrs_jax.data.policies import load_policy, policy_files
+from ailsrs_jax.data.policies import SavedPolicy, load_policy, policy_files
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.files import require_file
+from ailsrs_jax.files import require_file, require_writable, write_atomically
 from ailsrs_jax.runs.horizon import policy_horizon
+from ailsrs_jax.runs.storage.metrics import percentage
 from ailsrs_jax.runs.storage.policies import EVALUATED, MILESTONES
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 from ailsrs_jax.show.episodes.frames import DARK, INK, PALE, Watch, frames_of, unwatched
+from ailsrs_jax.show.episodes.play import play_html, require_playable
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import replay
 from ailsrs_jax.show.style import encoded
-from ailsrs_jax.show.video import SECONDS, Animation, require_output
+from ailsrs_jax.show.video import (
+    SECONDS,
+    Animation,
+    PolicyOrPath,
+    find_expert,
+    load_of,
+    require_output,
+)
 
 COLORS = ("#94a3b8", "#38bdf8", "#34d399", "#fbbf24")  # of the policies, the kept one is last
 PICTURE_SIZE = 240
@@ -122,17 +131,14 @@ def film_learning(
     run = read_run(seed_directory.parent)
     files, returns = stored_policies(run, seed_directory)
     iterations = choose({iteration: returns[iteration] for iteration in files})
-    policies = {iteration: load_policy(files[iteration]) for iteration in iterations}
-    for iteration, each in policies.items():
-        if each.env_id != run.config["env_id"]:
-            raise UserError(f"{files[iteration]} is of {each.env_id}, not of the run's task")
+    policies = [load_of(run, files[iteration]) for iteration in iterations]
     require_renderer()
     expert = run.expert_return or 0.0
     length = policy_horizon(kept_file)
     film = LearningFilm(
         replays=[
             replay(each, physics=physics, seed=seed, seconds=seconds, episode_length=length)
-            for each in policies.values()
+            for each in policies
         ],
         labels=[f"iteration {iteration}" for iteration in iterations],
         size=size,
@@ -143,6 +149,63 @@ def film_learning(
     )
     film.save(output)
     return film
+
+
+def write_play(
+    policy: Path,
+    output: Path,
+    *,
+    expert: PolicyOrPath | None = None,
+    alone: bool = False,
+    seed: int = 0,
+) -> list[str]:
+    """Write a page that runs a policy, and the earlier ones of its run, in the browser.
+
+    Args:
+        policy: a policy file, or a run directory, whose first seed is shown.
+        output: an ``.html`` file.
+        expert: the expert or its file; by default the shipped expert of the task, if there is one.
+        alone: leave the expert out.
+        seed: of the initial states.
+
+    Returns:
+        What the page calls the policies.
+
+    Raises:
+        UserError: an argument is wrong, the page does not know the task, a file is damaged, or npm
+            cannot fetch MuJoCo's WebAssembly build.
+    """
+    if output.suffix != ".html":
+        raise UserError(f"{output}: --play writes a page, whose name ends in .html")
+    require_writable(output)
+    file = policy_files(policy)[0].absolute()
+    kept = load_policy(file)
+    require_playable(kept.env_id)
+    policies, title = {"policy": kept}, "A policy in your browser"
+    if (file.parent / EVALUATED).is_dir():
+        run = read_run(file.parent.parent)
+        policies, title = _named_policies(run, file.parent), f"{run.title}, the policies of a run"
+    if not alone and (shown := find_expert(policy, kept, expert)) is not None:
+        policies["expert"] = shown
+    html = play_html(policies, title=title, seed=seed, episode_length=policy_horizon(file))
+    write_atomically(output, html)
+    return list(policies)
+
+
+def _named_policies(run: SavedRun, seed_directory: Path) -> dict[str, SavedPolicy]:
+    """Return the stored policies by what the page calls them, the kept one first."""
+    files, returns = stored_policies(run, seed_directory)
+    policies: dict[str, SavedPolicy] = {}
+    for iteration, path in reversed(files.items()):
+        what = f"iteration {iteration}"
+        if not policies:
+            what = "kept policy"
+        elif iteration == 0 and run.config["settings"].get("behavior_cloning_start"):
+            what = "clone of the expert"
+        share = percentage(returns[iteration], run.expert_return)
+        result = f"{share} of the expert" if share else f"return {returns[iteration]:.0f}"
+        policies[f"{what}: {result}"] = load_of(run, path)
+    return policies
 
 
 def stored_policies(run: SavedRun, seed_directory: Path) -> tuple[dict[int, Path], np.ndarray]:

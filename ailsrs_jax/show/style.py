@@ -1,7 +1,7 @@
 """The look that all figures share: colours, lines, panels and the legend."""
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -31,11 +31,11 @@ def panels(
     return figure, dict(zip(names, axes))
 
 
-def add_legend(figure: Figure, axes: Iterable[Axes], title: str | None = None) -> None:
+def add_legend(figure: Figure, title: str | None = None) -> None:
     """Add one legend above all panels, with each label once."""
     handles: dict[str, Any] = {}
-    for each in axes:
-        for handle, label in zip(*each.get_legend_handles_labels()):
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
             handles.setdefault(label, handle)
     longest = 0.7 + 0.065 * max(map(len, handles))  # [in] of a column, with its line
     num_columns = min(max(int(figure.get_figwidth() / longest), 1), len(handles))

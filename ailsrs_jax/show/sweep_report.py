@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ailsrs_jax.files import write_atomically
-from ailsrs_jax.show.figures import save_figures
+from ailsrs_jax.show.figures import save_figures, split
 from ailsrs_jax.show.model_card import escape_markdown
 from ailsrs_jax.sweeps.results import NOT_RUN, Curve, SweepResults, read_results, share_of
 from ailsrs_jax.sweeps.statistics import (
@@ -79,8 +79,7 @@ def result_tables(results: SweepResults) -> list[Table]:
     """Return the tables that compare series, a table per task, and what failed or did not run."""
     groups = group_cells(results.cells)
     tables = aggregate_tables(groups)
-    for task in dict.fromkeys(group.env_id for group in groups):
-        mine = [group for group in groups if group.env_id == task]
+    for task, mine in split(groups, "env_id").items():
         rows = [[show(group) for show in COLUMNS.values()] for group in mine]
         tables.append(Table(task, list(COLUMNS), rows))
     tables += _costs(groups, results.curves)
@@ -115,16 +114,13 @@ def _interquartile_means(groups: Sequence[Group]) -> list[Table]:
 
 def _improvements(groups: Sequence[Group]) -> list[Table]:
     """Compare the first series of AILSRS with each other one; without AILSRS, the first of all."""
-    by_series: dict[str, list[Group]] = {}
-    for group in sorted(groups, key=lambda group: group.cells[0].algorithm != "ailsrs"):
-        by_series.setdefault(group.series, []).append(group)
-    first = next(iter(by_series), "")
-    rows = []
-    for series in list(by_series)[1:]:
-        pairs = shared_scores(by_series[first], by_series[series])
-        if pairs:
-            chance = estimate(probability_of_improvement(pairs))
-            rows.append([series, str(len(pairs)), chance])
+    ordered = sorted(groups, key=lambda group: group.cells[0].algorithm != "ailsrs")
+    (first, mine), *others = split(ordered, "series").items() or [("", [])]
+    rows = [
+        [series, str(len(pairs)), estimate(probability_of_improvement(pairs))]
+        for series, theirs in others
+        if (pairs := shared_scores(mine, theirs))
+    ]
     title = f"Probability that {first} scores higher"
     return [Table(title, ["than", "conditions", "probability"], rows, IMPROVED)] if rows else []
 

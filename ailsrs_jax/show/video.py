@@ -20,6 +20,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import require_writable, write_atomically
 from ailsrs_jax.runs.horizon import policy_horizon
 from ailsrs_jax.runs.storage.config import read_config
+from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.episodes.frames import Watch, frames_of, unwatched
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import Film, Replay, replay
@@ -170,7 +171,9 @@ def render(
             )
     if output is None or output.suffix != ".html":
         require_renderer()
-    length = None if isinstance(policy, SavedPolicy) else policy_horizon(_file(policy))
+    length = (
+        None if isinstance(policy, SavedPolicy) else policy_horizon(policy_files(Path(policy))[0])
+    )
     replays = [
         replay(each, env=env, physics=physics, seed=seed, seconds=seconds, episode_length=length)
         for each in shown.values()
@@ -202,14 +205,18 @@ def find_expert(
     return shipped_expert(loaded.env_id, imitated)
 
 
+def load_of(run: SavedRun, path: Path) -> SavedPolicy:
+    """Load a policy of ``run``; raise UserError if it is damaged, or of another task."""
+    policy = load_policy(path)
+    if policy.env_id != run.config["env_id"]:
+        raise UserError(f"{path} is of {policy.env_id}, not of the run's task")
+    return policy
+
+
 def _load(policy: PolicyOrPath) -> SavedPolicy:
     if isinstance(policy, SavedPolicy):
         return policy
-    return load_policy(_file(policy))
-
-
-def _file(policy: str | Path) -> Path:
-    return policy_files(Path(policy))[0]
+    return load_policy(policy_files(Path(policy))[0])
 
 
 def require_output(output: Path | None, size: int) -> None:

@@ -17,7 +17,7 @@ import pytest
 import ailsrs_jax as ail
 from ailsrs_jax.cli import show
 from ailsrs_jax.show.episodes import play, wasm
-from ailsrs_jax.show.play import write_play
+from ailsrs_jax.show.learning import write_play
 from tests.show.browser import BROWSER, ask_in_browser
 from tests.show.reports.test_report import HOSTILE, Reader, write_run
 

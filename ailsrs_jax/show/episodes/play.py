@@ -32,9 +32,16 @@ VIEWS = {
     "Swimmer-v5": "top",
     "Walker2d-v5": "side",
 }
-SCRIPTS = ("simulation", "picture", "controls")  # the parts of one script
 NUM_STARTS = 20
 LARGEST = 1e300  # in place of infinity, which JSON lacks
+TEMPLATES = jinja2.Environment(  # of all pages
+    loader=jinja2.PackageLoader("ailsrs_jax", "show"),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
 
 
 def require_playable(env_id: str) -> None:
@@ -66,12 +73,7 @@ def play_html(
     """
     scene = play_scene(policies, seed, episode_length or EPISODE_LENGTH)
     build = mujoco_build()
-    loader = jinja2.PackageLoader("ailsrs_jax", "show/episodes")
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    own = "".join(loader.get_source(environment, f"play_{part}.js")[0] for part in SCRIPTS)
-    return environment.get_template("play.html").render(
+    return TEMPLATES.get_template("episodes/play.html").render(
         title=title,
         env_id=scene["env_id"],
         version=VERSION,
@@ -79,7 +81,6 @@ def play_html(
         scene=markupsafe.Markup(json.dumps(scene, allow_nan=False).replace("<", "\\u003c")),
         program=base64.b64encode(gzip.compress(build.program, mtime=0)).decode(),
         mujoco=markupsafe.Markup(build.script),
-        script=markupsafe.Markup(own),
     )
 
 

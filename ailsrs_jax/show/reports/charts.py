@@ -68,17 +68,18 @@ def _drawn(panel: Panel, width: int) -> dict[str, Any]:
     levels = {name: level for name, level in panel.levels.items() if np.isfinite(level)}
     ys = [*(line.y for line in panel.lines), *bands, np.array([*levels.values()])]
     y_limits = _limits(ys, *panel.limits)
-    frame = LEFT, TOP, width - RIGHT, HEIGHT - BOTTOM
+    left, top, right, bottom = frame = LEFT, TOP, width - RIGHT, HEIGHT - BOTTOM
 
     def at_x(x: Any) -> Any:
-        return LEFT + (x - x_limits[0]) / (x_limits[1] - x_limits[0]) * (frame[2] - LEFT)
+        return left + (x - x_limits[0]) / (x_limits[1] - x_limits[0]) * (right - left)
 
     def at_y(y: Any) -> Any:
-        return frame[3] - (y - y_limits[0]) / (y_limits[1] - y_limits[0]) * (frame[3] - TOP)
+        return bottom - (y - y_limits[0]) / (y_limits[1] - y_limits[0]) * (bottom - top)
 
-    def drawn(line: Line) -> dict[str, str]:
-        few = np.unique(np.linspace(0, len(line.x) - 1, MOST_POINTS).round().astype(int))
-        few = few if line.look in ("line", "dashed") and len(line.x) else np.arange(len(line.x))
+    def drawn(line: Line) -> dict[str, Any]:
+        few = np.arange(len(line.x))
+        if line.look in ("line", "dashed") and len(few) > MOST_POINTS:
+            few = np.linspace(0, len(few) - 1, MOST_POINTS).round().astype(int)
         x, area = at_x(line.x[few]), ""
         if line.band is not None:
             low, high = (at_y(bound[few]) for bound in line.band)
@@ -86,8 +87,7 @@ def _drawn(panel: Panel, width: int) -> dict[str, Any]:
             edge = np.concatenate([low[there], high[there][::-1]])
             area = _path(np.concatenate([x[there], x[there][::-1]]), edge)
         path = _path(x, at_y(line.y[few]), apart=line.look in ("marks", "cloud"))
-        fields = {"name": line.name, "look": line.look, "note": line.note}
-        return fields | {"path": path, "area": area}
+        return vars(line) | {"path": path, "area": area}
 
     return {
         "panel": panel,
@@ -124,9 +124,7 @@ def _path(x: np.ndarray, y: np.ndarray, *, apart: bool = False) -> str:
     """Return an SVG path through points, or a dot at each if they are ``apart``; NaN is a gap."""
     there = (np.abs(x) < FAR) & (np.abs(y) < FAR)
     begins = there & ~np.concatenate([[False], there[:-1]])
-    points = zip(x, y, there, begins)
     return "".join(
         f"{'M' if apart or begin else 'L'}{px:.2f},{py:.2f}{'h0' * apart}"
-        for px, py, is_there, begin in points
-        if is_there
+        for px, py, begin in zip(x[there], y[there], begins[there])
     )

@@ -6,8 +6,9 @@ import numpy as np
 
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.curves import EVEN, PANELS, STEPS, by_seed
+from ailsrs_jax.show.figures import most_demonstrated, number_given, split
 from ailsrs_jax.show.reports.charts import Chart, Line, Panel
-from ailsrs_jax.sweeps.results import Curve, SweepResults
+from ailsrs_jax.sweeps.results import SweepResults
 from ailsrs_jax.sweeps.statistics import Group, mean_curve
 from ailsrs_jax.trainers.parts.reference import CLOSE
 
@@ -16,6 +17,7 @@ SCORES = (
     "well it tells them apart. Near 0.5 it cannot. At 1 and 0 it has won, and the policy learns "
     "nothing more from it."
 )
+MEANS = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
 
 
 def seed_name(seed: int) -> str:
@@ -40,12 +42,10 @@ def draw_run(run: SavedRun, colors: Mapping[str, str]) -> Chart:
         for seed, mine in by_seed(run).items():
             name, steps = seed_name(seed), mine["env_steps"] / 1e6
             at = mine["iteration"] == run.kept_iterations.get(seed)
-            lines += _score_lines(name, mine) if column == "policy_score" else []
-            lines += [] if column == "policy_score" else [Line(name, steps, mine[column])]
+            is_score = column == "policy_score"
+            lines += _score_lines(name, mine) if is_score else [Line(name, steps, mine[column])]
             lines.append(Line(name, steps[at], mine[column][at], "marks", note="kept"))
-        panels.append(
-            Panel("", STEPS, label, lines, levels.get(column, {}), limits or (None, None))
-        )
+        panels.append(Panel("", STEPS, label, lines, levels.get(column, {}), limits))
     caption = f"A dot marks the iteration whose policy is kept. {SCORES}"
     return Chart("Training", panels, colors, caption)
 
@@ -57,26 +57,22 @@ def draw_series(
 
     The curves are those with the most demonstrations, and of all seeds.
     """
-    chosen: dict[str, dict[str, tuple[Group, list[Curve]]]] = {}
-    for group in sorted(groups, key=lambda group: group.num_trajectories or 0):
-        curves = [results.curves[cell.cell] for cell in group.cells if cell.cell in results.curves]
-        if curves:
-            chosen.setdefault(group.env_id, {})[group.series] = group, curves
     panels = []
-    for task in (task for task in dict.fromkeys(g.env_id for g in groups) if task in chosen):
+    for task, mine in split(groups, "env_id").items():
+        chosen = most_demonstrated(mine, results.curves)
         lines = []
-        for name, (_, curves) in chosen[task].items():
+        for group, curves in chosen:
             mean = mean_curve(curves)
             returns = np.array([curve.returns[: len(mean.returns)] for curve in curves])
             band = np.fmin.reduce(returns), np.fmax.reduce(returns)
             steps = mean.env_steps / 1e6
             look = "line" if len(steps) > 1 else "marks"  # of a single iteration
-            lines.append(Line(name, steps, mean.returns, look, band, seeds(len(curves))))
-        compared = [group for group, _ in chosen[task].values() if group.has_comparable_curves]
-        panels.append(Panel(task, STEPS, "return", lines, _levels(compared)))
-    caption = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
-    if any(group.num_trajectories for group in groups):
-        caption += " The runs are those with the most demonstrations."
+            lines.append(Line(group.series, steps, mean.returns, look, band, seeds(len(curves))))
+        if lines:
+            levels = _levels([group for group, _ in chosen if group.has_comparable_curves])
+            panels.append(Panel(task, STEPS, "return", lines, levels))
+    most = " The runs are those with the most demonstrations."
+    caption = MEANS + most * any(group.num_trajectories for group in groups)
     return Chart("Training", panels, colors, caption) if panels else None
 
 
@@ -86,25 +82,20 @@ def draw_numbers(groups: Sequence[Group], colors: Mapping[str, str]) -> Chart | 
     if len({group.num_trajectories for group in given}) < 2:
         return None
     panels = []
-    for task in dict.fromkeys(group.env_id for group in given):
+    for task, mine in split(given, "env_id").items():
+        by_series = split(sorted(mine, key=number_given), "series")
         lines = []
-        for name in colors:
-            mine = [group for group in given if (group.env_id, group.series) == (task, name)]
-            if not mine:
-                continue
-            mine.sort(key=lambda group: group.num_trajectories or 0)
-            returns = [group.values("return_mean") for group in mine]
+        for name in (name for name in colors if name in by_series):
+            numbers = np.array([number_given(group) for group in by_series[name]], float)
+            returns = [group.values("return_mean") for group in by_series[name]]
             mean, low, high = (
                 np.array([how(values) for values in returns]) for how in (np.mean, np.min, np.max)
             )
-            numbers = np.array([group.num_trajectories for group in mine], float)
             counts = {len(values) for values in returns}
             lines.append(Line(name, numbers, mean, band=(low, high), note=seeds(*counts)))
-        mine = [group for group in given if group.env_id == task]
         panels.append(Panel(task, "demonstrations", "return", lines, _levels(mine)))
     title = "Return of the kept policy against the number of demonstrations"
-    caption = "A line is the mean over all seeds; the area reaches from the worst to the best seed."
-    return Chart(title, panels, colors, caption)
+    return Chart(title, panels, colors, MEANS)
 
 
 def draw_discriminators(
@@ -117,8 +108,9 @@ def draw_discriminators(
             if cell.cell in runs and "policy_score" in runs[cell.cell].metrics:
                 lines = _score_lines(group.series, runs[cell.cell].metrics)
                 tasks.setdefault(group.env_id, []).extend(lines)
+    label, limits = PANELS["policy_score"]
     panels = [
-        Panel(task, STEPS, "discriminator's score", lines, {"cannot tell": EVEN}, (0, 1))
+        Panel(task, STEPS, label, lines, {"cannot tell": EVEN}, limits)
         for task, lines in tasks.items()
     ]
     return Chart("Discriminator's scores", panels, colors, SCORES) if panels else None

@@ -3,24 +3,26 @@
 import base64
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
-import jinja2
 import markupsafe
 from matplotlib.figure import Figure
 
-from ailsrs_jax.data.policies import SavedPolicy, load_policy
+from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.horizon import saved_horizon
 from ailsrs_jax.runs.storage.saved_run import SavedRun
 from ailsrs_jax.show.episodes.frames import Watch
+from ailsrs_jax.show.episodes.play import TEMPLATES
 from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import replay
 from ailsrs_jax.show.reports.charts import Chart
 from ailsrs_jax.show.reports.weights import WeightMaps
 from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
-from ailsrs_jax.show.video import Animation, data_uri
+from ailsrs_jax.show.video import Animation, data_uri, load_of
 
 SECONDS = 10.0  # of each episode that is shown
 SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by the number of pictures
@@ -44,50 +46,36 @@ class Media:
     caption: str = ""
 
 
-Part = Chart | Table | WeightMaps | Media
+Part = Chart | Table | WeightMaps | Media | None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Page:
-    """Everything that the template shows, as text; the template escapes it."""
+    """Everything that the template shows; the template makes text of it, and escapes it."""
 
     kind: str
     title: str
     subtitle: str
     tiles: Sequence[Tile] = ()  # the first is the answer, and the largest
-    parts: Sequence[Part]
+    parts: Sequence[Part]  # None shows nothing
     note: str = ""  # on the tables
     commands: Sequence[str]
     # name, value, whether it differs from the preset
-    settings: Sequence[tuple[str, str, bool]] = ()
-    versions: Sequence[tuple[str, str]] = ()
+    settings: Sequence[tuple[str, Any, bool]] = ()
+    versions: Iterable[tuple[str, Any]] = ()
 
     def html(self) -> str:
         """Return the page. It loads nothing, and the browser may run no script but its own."""
-        loader = jinja2.PackageLoader("ailsrs_jax", "show/reports")
-        environment = jinja2.Environment(
-            loader=loader,
-            autoescape=True,
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        script, *_ = loader.get_source(environment, "page.js")
+        script = Path(__file__).with_name("page.js").read_text()
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         own = {"script": markupsafe.Markup(script), "script_hash": f"sha256-{digest}"}
-        return environment.get_template("page.html").render(vars(self) | own)
+        return TEMPLATES.get_template("reports/page.html").render(vars(self) | own)
 
 
 def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
     """Load the kept policy of each seed that has saved one."""
-    policies = {}
-    for seed in run.config["seeds"]:
-        path = run.directory / f"seed_{seed}" / "policy.npz"
-        if path.is_file():
-            policies[seed] = load_policy(path)
-            if policies[seed].env_id != run.config["env_id"]:
-                raise UserError(f"{path} is of {policies[seed].env_id}, not of the run's task")
-    return policies
+    paths = {seed: run.directory / f"seed_{seed}" / "policy.npz" for seed in run.config["seeds"]}
+    return {seed: load_of(run, path) for seed, path in paths.items() if path.is_file()}
 
 
 def play(

@@ -1,7 +1,7 @@
 """The page of a run: the answer, then what it does, how it went, and what it has learned."""
 
 import collections
-import math
+import contextlib
 from collections.abc import Mapping
 
 import numpy as np
@@ -40,30 +40,32 @@ def run_page(
     Raises:
         UserError: a policy in its directory is damaged.
     """
-    config = run.config
-    policies = policies_of(run)
-    expert = expert_reference(run)
+    config, policies, expert = run.config, policies_of(run), expert_reference(run)
     evaluations, states, problem = _evaluate(run, policies, expert, episodes)
-    inspections = _inspect(run)
-    ranked = sorted(policies, key=lambda seed: _rank(seed, evaluations, inspections))
-    shown_seeds = ranked[:1] + (ranked[1:][-1:] if evaluations or inspections else [])
-    ends = dict(zip(shown_seeds, ("best", "worst")))
+    inspections: dict[int, SeedInspection] = {}
+    with contextlib.suppress(UserError):  # it has not measured its distance to the expert
+        inspections = {each.seed: each for each in inspect_run(run)}
+    # Small for a good seed.
+    ranks = {seed: -evaluation.mean for seed, evaluation in evaluations.items()}
+    ranks = ranks or {seed: inspection.distance for seed, inspection in inspections.items()}
+    ranked = sorted(policies, key=lambda seed: np.fmin(ranks.get(seed, np.inf), np.inf))
+    ends = dict(zip(ranked[:1] + (ranked[1:][-1:] if ranks else []), ("best", "worst")))
     colors = colors_of(map(seed_name, config["seeds"]))
     learns_from = "the environment's reward"
     if run.source is not None:
         learns_from = run.source.described(config["num_trajectories"], config["subsample"])
-    parts: list[Part | None] = [
+    parts: list[Part] = [
         _seed_table(run, evaluations, inspections, episodes, problem),
         _video(run, policies, ends, watch) if video else None,
         draw_run(run, colors),
     ]
     if ranked:
-        best = ranked[0]
-        parts.append(weight_maps(f"policy of {seed_name(best)}", policies[best], expert))
+        best = f"policy of {seed_name(ranked[0])}"
+        parts.append(weight_maps(best, policies[ranked[0]], expert))
     if expert is not None and states:
         met = {seed_name(seed): states[seed] for seed in ends}
         shown = {name: colors[name] for name in met}
-        parts += [projection(expert, met, shown), differences(met, shown)]
+        parts += projection(expert, met, shown), differences(met, shown)
     changed = run.changed_settings()
     versions = dict(config["versions"])
     if config["demonstrations_sha256"] is not None:
@@ -73,12 +75,10 @@ def run_page(
         title=f"{run.title} on {config['env_id']}",
         subtitle=f"{learns_from} · preset {config['preset']} · physics {config['physics']}",
         tiles=_tiles(run, evaluations, inspections),
-        parts=[part for part in parts if part is not None],
+        parts=parts,
         commands=[run.command or "Called from Python with objects that no command can name."],
-        settings=[
-            (name, str(value), name in changed) for name, value in config["settings"].items()
-        ],
-        versions=[(name, str(version)) for name, version in versions.items()],
+        settings=[(name, value, name in changed) for name, value in config["settings"].items()],
+        versions=versions.items(),
     )
 
 
@@ -105,25 +105,6 @@ def _evaluate(
     except UserError as error:
         return {}, {}, f"Not measured: {error}."
     return evaluations, states, ""
-
-
-def _inspect(run: SavedRun) -> dict[int, SeedInspection]:
-    """Judge each seed by its distance to the expert, if the run has measured it."""
-    try:
-        return {each.seed: each for each in inspect_run(run)}
-    except UserError:
-        return {}
-
-
-def _rank(
-    seed: int, evaluations: Mapping[int, Evaluation], inspections: Mapping[int, SeedInspection]
-) -> float:
-    """Return a number that is small for a good seed, by the return or else by the distance."""
-    if seed in evaluations:
-        value = -evaluations[seed].mean
-    else:
-        value = inspections[seed].distance if seed in inspections else math.inf
-    return math.inf if math.isnan(value) else value
 
 
 def _tiles(
@@ -156,8 +137,7 @@ def _tiles(
     tiles.insert(0, Tile("kept policy", answer, " · ".join(filter(None, notes))))
     if run.expert_return is not None:
         mine, length = run.config["settings"].get("episode_length"), run.demonstrated_length
-        comparable = run.comparable_expert_return is not None
-        note = "" if comparable else f", in episodes of {length} steps, not {mine}"
+        note = "" if expert is not None else f", in episodes of {length} steps, not {mine}"
         tiles.append(
             Tile("expert", f"{run.expert_return:.0f}", f"return of the demonstrations{note}")
         )

@@ -1,4 +1,4 @@
-"""The page of a sweep."""
+"""The pages of many runs: that of a sweep, and that of ``ailsrs compare``."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,18 +6,27 @@ from pathlib import Path
 from matplotlib import style
 
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
+from ailsrs_jax.show.curves import PANELS, STEPS, by_seed
 from ailsrs_jax.show.episodes.frames import Watch, unwatched
-from ailsrs_jax.show.figures import draw_profiles, draw_scores, looks_of
-from ailsrs_jax.show.reports.charts import colors_of
+from ailsrs_jax.show.figures import (
+    draw_profiles,
+    draw_scores,
+    looks_of,
+    most_demonstrated,
+    split,
+)
+from ailsrs_jax.show.reports.charts import Chart, Line, Panel, colors_of
 from ailsrs_jax.show.reports.curves import draw_discriminators, draw_numbers, draw_series, seeds
 from ailsrs_jax.show.reports.page import Media, Page, Part, embedded, millions, play, policies_of
 from ailsrs_jax.show.style import STYLE
-from ailsrs_jax.show.sweep_report import EXPLANATION, result_tables
+from ailsrs_jax.show.sweep_report import EXPLANATION, Table, result_tables
 from ailsrs_jax.show.video import shipped_expert
 from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import Group, group_cells
+from ailsrs_jax.trainers.parts.reference import CLOSE
 
 MOST_SHOWN = 4  # pictures of a video: the expert and the first three series
+COMPARED = ("evaluation_return", "expert_distance")
 
 Runs = Mapping[str, SavedRun]  # by the name of their cell
 
@@ -36,7 +45,7 @@ def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched)
     runs = {cell.cell: read_run(there[cell.cell]) for cell in results.done if cell.cell in there}
     versions = next(iter(runs.values())).config["versions"] if runs else {}
     tables = result_tables(results)
-    parts: list[Part | None] = [
+    parts: list[Part] = [
         *tables[:1],
         draw_series(groups, results, colors),
         *tables[1:],
@@ -49,10 +58,10 @@ def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched)
         kind="sweep",
         title=directory.resolve().name,
         subtitle=_facts(results, groups),
-        parts=[part for part in parts if part is not None],
+        parts=parts,
         note=EXPLANATION.replace("*", ""),
         commands=[command for run in runs.values() if (command := run.command)],
-        versions=[(name, str(version)) for name, version in versions.items()],
+        versions=versions.items(),
     )
 
 
@@ -74,22 +83,18 @@ def _videos(groups: Sequence[Group], runs: Runs, watch: Watch) -> list[Media]:
     if not runs:
         return [Media("Policies", None, "There are no runs beside these tables to show.")]
     videos = []
-    for task in dict.fromkeys(group.env_id for group in groups):
-        shown: dict[str, SavedRun] = {}
-        for group in sorted(groups, key=lambda group: group.num_trajectories or 0):
-            saved = [cell for cell in group.cells if cell.cell in runs]
-            if group.env_id == task and saved:
-                shown[group.series] = runs[min(saved, key=lambda cell: cell.seed).cell]
-        first = [group.series for group in groups if group.series in shown]
+    for task, mine in split(groups, "env_id").items():
+        shown = {group.series: its[0] for group, its in most_demonstrated(mine, runs)}
+        series = [name for name in split(groups, "series") if name in shown]
         policies = {
-            series: policy
-            for series in list(dict.fromkeys(first))[: MOST_SHOWN - 1]
-            for policy in policies_of(shown[series]).values()
+            name: policy
+            for name in series[: MOST_SHOWN - 1]
+            for policy in policies_of(shown[name]).values()
         }
         if policies:
             expert = shipped_expert(task, *(run.source for run in shown.values()))
             caption = "The first seed of each, with the most demonstrations, in real time"
-            one = next(iter(shown.values()))
+            one, *_ = shown.values()
             videos.append(play(task, policies, expert, caption, one, watch))
     return videos
 
@@ -102,3 +107,41 @@ def _figures(groups: Sequence[Group]) -> list[Media]:
             "Performance profiles": draw_profiles(groups, looks),
         }
         return [Media(title, embedded(figure)) for title, figure in drawn.items() if figure]
+
+
+def comparison_page(
+    runs: Mapping[str, SavedRun], header: Sequence[str], rows: Sequence[Sequence[str]], note: str
+) -> Page:
+    """Return the page of ``runs`` of one task, by name: a table, and their curves on common axes.
+
+    The table has a row for each run, and ``note`` says what its columns mean.
+    """
+    colors = colors_of(runs)
+    experts = [e for run in runs.values() if (e := run.comparable_expert_return) is not None]
+    levels = {
+        "evaluation_return": {"expert": max(experts)} if experts else {},
+        "expert_distance": {"close to the expert": CLOSE},
+    }
+    panels = []
+    for column in COMPARED:
+        label, limits = PANELS[column]
+        lines = [
+            Line(name, mine["env_steps"] / 1e6, mine[column])
+            for name, run in runs.items()
+            if column in run.metrics
+            for mine in by_seed(run).values()
+        ]
+        if lines:
+            panels.append(Panel("", STEPS, label, lines, levels[column], limits))
+    (task,) = {run.config["env_id"] for run in runs.values()}
+    return Page(
+        kind="comparison",
+        title=f"Runs of {task}",
+        subtitle=f"{len(runs)} run{'s' * (len(runs) > 1)}",
+        parts=[
+            Table("Runs", list(header), [list(row) for row in rows]),
+            Chart("Training", panels, colors, "A line is a seed."),
+        ],
+        note=note,
+        commands=[command for run in runs.values() if (command := run.command)],
+    )

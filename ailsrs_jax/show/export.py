@@ -58,9 +58,13 @@ def export(
         UserError: the source cannot be read or holds several policies, a package is not installed,
             the policy cannot be evaluated, or the output cannot be written.
     """
-    output, path = Path(output), None
+    output = Path(output)
+    path: Path | None = None
     if not isinstance(source, SavedPolicy):
-        path = _only_policy(Path(source))
+        path, *others = policy_files(Path(source))
+        if others:
+            number = 1 + len(others)
+            raise UserError(f"{source} holds {number} policies: choose one, for example {path}")
         source = load_policy(path)
     require_license(license_id)
     # lexists raises no error for a name that is too long, but is_dir does.
@@ -94,17 +98,8 @@ def export(
     return evaluation
 
 
-def _only_policy(source: Path) -> Path:
-    paths = policy_files(source)
-    if len(paths) > 1:
-        raise UserError(f"{source} holds {len(paths)} policies: choose one, for example {paths[0]}")
-    return paths[0]
-
-
 def _require_new(directory: Path) -> None:
     """Raise UserError unless ``directory`` can be made, or has only hidden files."""
     require_writable(directory / CARD)
-    if directory.is_dir():
-        in_the_way = [file for file in directory.iterdir() if not file.name.startswith(".")]
-        if in_the_way:
-            raise UserError(f"{directory} is not empty: choose another --output")
+    if directory.is_dir() and any(not file.name.startswith(".") for file in directory.iterdir()):
+        raise UserError(f"{directory} is not empty: choose another --output")

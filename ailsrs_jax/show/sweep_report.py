@@ -49,8 +49,8 @@ class Table(NamedTuple):
     """A table for people."""
 
     title: str
-    header: list[str]
-    rows: list[list[str]]
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
     note: str = ""
 
 
@@ -146,20 +146,14 @@ def timings_table(results: SweepResults) -> str:
     header = ["", "task", "demonstrations", "to 90 % of the expert", "training", "compilation"]
     rows = []
     for group in group_cells(results.cells):
-        timings = [results.timings.get(cell.cell) for cell in group.cells]
-        if timed := [timing for timing in timings if timing is not None]:
+        cells = [cell.cell for cell in group.cells if cell.cell in results.timings]
+        if timed := [results.timings[cell] for cell in cells]:
             to_90 = np.array([timing.seconds_to_90_percent for timing in timed])
-            rows.append(
-                [
-                    group.series,
-                    group.env_id,
-                    _count(group),
-                    _reached(to_90, "{:.0f} s") if group.has_comparable_curves else "–",
-                    f"{np.median([timing.train_seconds for timing in timed]):.0f} s",
-                    f"{np.median([timing.compile_seconds for timing in timed]):.0f} s",
-                    " and ".join(dict.fromkeys(timing.hardware for timing in timed)),
-                ]
-            )
+            reached = _reached(to_90, "{:.0f} s") if group.has_comparable_curves else "–"
+            seconds = [(timing.train_seconds, timing.compile_seconds) for timing in timed]
+            medians = [f"{median:.0f} s" for median in np.median(seconds, axis=0)]
+            hardware = " and ".join(dict.fromkeys(timing.hardware for timing in timed))
+            rows.append([group.series, group.env_id, _count(group), reached, *medians, hardware])
     return f"{TIMED}\n\n{markdown_table([*header, 'hardware'], _escaped(rows))}\n"
 
 

@@ -26,7 +26,7 @@ def frames_of(
     size: int,
     watch: Watch,
     *,
-    facts: Sequence[str] | None = None,
+    facts: Sequence[str | None] | None = None,
     colors: Sequence[str] | None = None,
 ) -> np.ndarray:
     """Return ``(T, H, W, 3)`` uint8: the episodes after each of ``steps`` steps, side by side.
@@ -40,9 +40,9 @@ def frames_of(
     """
     # One video at a time: two open renderers would switch their OpenGL context every frame.
     videos: list[np.ndarray] = []
-    for number, (replay, label) in enumerate(zip(replays, labels, strict=True)):
-        fact = None if facts is None else facts[number]
-        color = INK if colors is None else colors[number]
+    facts, colors = facts or [None] * len(replays), colors or [INK] * len(replays)
+    episodes = zip(replays, labels, facts, colors, strict=True)
+    for number, (replay, label, fact, color) in enumerate(episodes):
         shown = []
         for picture in _captioned_pictures(replay, label, steps, size, fact, color):
             shown.append(picture)
@@ -76,28 +76,22 @@ def _captioned_pictures(
     live = [step for step in steps if step <= replay.num_steps]
     drawn = pictures(replay, [*live, replay.num_steps], size)
 
+    bar = 2 * max(size // (14 if fact else 22), 8)  # pixels above, where no controls hide it
+    font = ImageFont.load_default(size=bar * 0.42)
+
     def captioned(picture: np.ndarray, step: int, *, ended: bool = False) -> np.ndarray:
-        text = fact or f"return {returns[step]:.0f}   {step * replay.dt:.1f} s"
-        words = [(label, color), (f"ended: {text}", WARM) if ended and not fact else (text, PALE)]
-        return _captioned(picture, words, size // 14 if fact else size // 22)
+        text, tone = fact or f"return {returns[step]:.0f}   {step * replay.dt:.1f} s", PALE
+        if ended and not fact:
+            text, tone = f"ended: {text}", WARM
+        image = Image.new("RGB", (size, size + bar), DARK)
+        image.paste(Image.fromarray(picture), (0, bar))
+        draw, margin = ImageDraw.Draw(image), bar * 0.4
+        draw.text((margin, bar / 2), label, color, font, anchor="lm")
+        draw.text((size - margin, bar / 2), text, tone, font, anchor="rm")
+        return np.asarray(image)
 
     for step in live:
         yield captioned(next(drawn), step)
     if rest := len(steps) - len(live):
-        last = next(drawn)
-        if replay.ended:
-            last = last // 2
+        last = next(drawn) // (2 if replay.ended else 1)
         yield from [captioned(last, replay.num_steps, ended=replay.ended)] * rest
-
-
-def _captioned(picture: np.ndarray, words: Sequence[tuple[str, str]], half: int) -> np.ndarray:
-    """Add a line of text above, where a player's controls do not hide it; its height is even."""
-    height, width = picture.shape[:2]
-    bar = 2 * max(half, 8)
-    image = Image.new("RGB", (width, height + bar), DARK)
-    image.paste(Image.fromarray(picture), (0, bar))
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=bar * 0.42)
-    middle, margin = bar / 2, bar * 0.4
-    for (text, color), at, anchor in zip(words, (margin, width - margin), ("lm", "rm")):
-        draw.text((at, middle), text, color, font, anchor=anchor)
-    return np.asarray(image)

@@ -129,7 +129,17 @@ def play_scene(
         ],
         "entries": observation_names(task),
         "actions": action_names(task),
-        "policies": [_policy(name, policy) for name, policy in policies.items()],
+        "policies": [
+            {
+                "name": name,
+                "mean": policy.mean.tolist(),
+                "std": policy.std.tolist(),
+                "low": policy.action_low.tolist(),
+                "high": policy.action_high.tolist(),
+                "layers": [{"weights": w.tolist(), "biases": b.tolist()} for w, b in policy.layers],
+            }
+            for name, policy in policies.items()
+        ],
     }
 
 
@@ -138,17 +148,3 @@ def _range(task: GymnasiumTask, part: Range) -> dict[str, Any]:
     low, high = np.clip(np.array([part.low, part.high], float), -LARGEST, LARGEST).tolist()
     end = size if part.end is None else part.end
     return {"field": part.field, "first": part.first, "end": end, "low": low, "high": high}
-
-
-def _policy(name: str, policy: SavedPolicy) -> dict[str, Any]:
-    return {
-        "name": name,
-        "mean": policy.mean.tolist(),
-        "std": policy.std.tolist(),
-        "low": policy.action_low.tolist(),
-        "high": policy.action_high.tolist(),
-        "layers": [
-            {"weights": weights.tolist(), "biases": biases.tolist()}
-            for weights, biases in policy.layers
-        ],
-    }

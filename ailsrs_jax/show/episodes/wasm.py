@@ -64,18 +64,17 @@ def _fetch() -> bytes:
             "npm, which is part of Node.js"
         )
     command = [npm, "pack", PACKAGE, "--loglevel=error", "--fetch-retries=1"]
+    archive, why = b"", f"it takes more than {SECONDS} s"
     # In a directory of its own npm finds no project whose settings could change what it does.
-    with tempfile.TemporaryDirectory() as directory:
-        try:
-            ran = subprocess.run(
-                command, cwd=directory, capture_output=True, text=True, timeout=SECONDS
-            )
-            why = next(iter(ran.stderr.splitlines()), "it is not there")
-            archive = read_small(Path(directory, ARCHIVE), MOST_BYTES)
-        except subprocess.TimeoutExpired:
-            why, archive = f"it takes more than {SECONDS} s", b""
-        except (UserError, ValueError):
-            archive = b""
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        contextlib.suppress(subprocess.TimeoutExpired, UserError, ValueError),
+    ):
+        ran = subprocess.run(
+            command, cwd=directory, capture_output=True, text=True, timeout=SECONDS
+        )
+        why = next(iter(ran.stderr.splitlines()), "it is not there")
+        archive = read_small(Path(directory, ARCHIVE), MOST_BYTES)
     if not archive:
         raise UserError(
             f"npm cannot fetch {PACKAGE} ({why}): the first page needs the internet, later ones "

@@ -11,8 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from ailsrs_jax.show.style import COLORS
 
 MOST_POINTS = 600  # of a line; more cannot be told apart on a screen
-WIDTHS = {1: 540, 2: 540, 4: 540}  # of a panel [px] by the number of panels; else WIDTH
-WIDTH, HEIGHT = 360, 250
+WIDE, NARROW, HEIGHT = 540, 360, 250  # of a panel [px]
 FAR, HUGE = 1e6, 1e30  # places [px] and numbers that nobody draws
 LEFT, TOP, RIGHT, BOTTOM = 58, 10, 14, 42  # around the axes [px]
 
@@ -53,7 +52,7 @@ class Chart:
     @property
     def drawn(self) -> list[dict[str, Any]]:
         """What the template needs of each panel."""
-        width = WIDTHS.get(len(self.panels), WIDTH)
+        width = WIDE if len(self.panels) in (1, 2, 4) else NARROW
         return [_drawn(panel, width) for panel in self.panels]
 
 

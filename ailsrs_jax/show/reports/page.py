@@ -3,7 +3,7 @@
 import base64
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,9 +60,9 @@ class Page:
     parts: Sequence[Part]  # None shows nothing
     note: str = ""  # on the tables
     commands: Sequence[str]
-    # name, value, whether it differs from the preset
-    settings: Sequence[tuple[str, Any, bool]] = ()
-    versions: Iterable[tuple[str, Any]] = ()
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    changed: Collection[str] = ()  # settings that differ from the preset
+    versions: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def html(self) -> str:
         """Return the page. It loads nothing, and the browser may run no script but its own."""

@@ -66,7 +66,6 @@ def run_page(
         met = {seed_name(seed): states[seed] for seed in ends}
         shown = {name: colors[name] for name in met}
         parts += projection(expert, met, shown), differences(met, shown)
-    changed = run.changed_settings()
     versions = dict(config["versions"])
     if config["demonstrations_sha256"] is not None:
         versions["demonstrations, SHA-256"] = config["demonstrations_sha256"]
@@ -77,8 +76,9 @@ def run_page(
         tiles=_tiles(run, evaluations, inspections),
         parts=parts,
         commands=[run.command or "Called from Python with objects that no command can name."],
-        settings=[(name, value, name in changed) for name, value in config["settings"].items()],
-        versions=versions.items(),
+        settings=config["settings"],
+        changed=run.changed_settings(),
+        versions=versions,
     )
 
 

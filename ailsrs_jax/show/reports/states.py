@@ -65,8 +65,7 @@ def met_by(episodes: Episodes, expert: Reference) -> Met:
     """Return what is shown of the states of ``episodes``."""
     usable = np.argwhere(episodes.usable)
     states = expert.statistics.standardize(episodes.observations[tuple(_some(usable).T)])
-    stride = expert.stride
-    episode_length = episodes.observations.shape[1]
+    stride, episode_length = expert.stride, episodes.observations.shape[1]
     num_blocks = distance_horizon(expert.observations, stride, episode_length)
     enough = max(int(expert.lengths.sum()) // STEPS_OF_A_PART, 1)
     num_parts = min(NUM_PARTS, num_blocks, enough)
@@ -75,23 +74,12 @@ def met_by(episodes: Episodes, expert: Reference) -> Met:
 
     def distance(start: int) -> float:
         key, expert_key = jax.random.split(jax.random.fold_in(jax.random.key(0), start))
-        its = distance_features(
-            expert_key,
-            expert.points[:, start : start + size],
-            expert.lengths - start,
-            size,
-            NUM_COMPARED,
-        )
+        its, lengths = expert.points[:, start : start + size], expert.lengths - start
+        its = distance_features(expert_key, its, lengths, size, NUM_COMPARED)
         first, after = start * stride, (start + size) * stride
-        mine = distance_features(
-            key,
-            expert.points_of(
-                episodes.observations[:, first:after], episodes.actions[:, first:after]
-            ),
-            episodes.usable_lengths - first,
-            after - first,
-            NUM_COMPARED,
-        )
+        seen = episodes.observations[:, first:after], episodes.actions[:, first:after]
+        mine, lengths = expert.points_of(*seen), episodes.usable_lengths - first
+        mine = distance_features(key, mine, lengths, after - first, NUM_COMPARED)
         return float(energy_distance(mine, its, mean_distance(its, its)))
 
     distances = np.array([distance(int(start)) for start in starts])

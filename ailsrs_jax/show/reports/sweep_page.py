@@ -43,7 +43,6 @@ def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched)
     # A cell's name becomes no path: directories that exist are looked up by their names.
     there = {path.name: path for path in directory.glob("cells/*") if path.is_dir()}
     runs = {cell.cell: read_run(there[cell.cell]) for cell in results.done if cell.cell in there}
-    versions = next(iter(runs.values())).config["versions"] if runs else {}
     tables = result_tables(results)
     parts: list[Part] = [
         *tables[:1],
@@ -61,7 +60,7 @@ def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched)
         parts=parts,
         note=EXPLANATION.replace("*", ""),
         commands=[command for run in runs.values() if (command := run.command)],
-        versions=versions.items(),
+        versions=next((run.config["versions"] for run in runs.values()), {}),
     )
 
 
@@ -139,7 +138,7 @@ def comparison_page(
         title=f"Runs of {task}",
         subtitle=f"{len(runs)} run{'s' * (len(runs) > 1)}",
         parts=[
-            Table("Runs", list(header), [list(row) for row in rows]),
+            Table("Runs", header, rows),
             Chart("Training", panels, colors, "A line is a seed."),
         ],
         note=note,

@@ -1,5 +1,6 @@
 """The weights of a linear policy, beside those of a clone of the expert."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 
@@ -59,19 +60,14 @@ def weight_maps(name: str, policy: SavedPolicy, expert: Reference | None) -> Wei
 
 def _names(policy: SavedLinearPolicy) -> tuple[list[str], list[str]]:
     """Return the names of the observation's entries and of the actions, else their numbers."""
-    actions, entries = (
-        [f"{kind} {index}" for index in range(size)]
-        for kind, size in zip(("action", "entry"), policy.weights.shape)
-    )
-    try:
+    p, n = policy.weights.shape
+    entries, actions = [f"entry {at}" for at in range(n)], [f"action {at}" for at in range(p)]
+    with contextlib.suppress(UserError):  # a task that is gone has no names
         require_harmless(policy.env_id, "the policy")
         task = getattr(open_env(policy.env_id).env, "unwrapped", None)
-    except UserError:  # a task that is gone has no names
-        task = None
-    if isinstance(task, MujocoTask):
-        named = observation_names(task), action_names(task)
-        entries, actions = (
-            names if len(names) == len(numbers) else numbers
-            for names, numbers in zip(named, (entries, actions))
-        )
+        if isinstance(task, MujocoTask):
+            if len(names := observation_names(task)) == n:
+                entries = names
+            if len(names := action_names(task)) == p:
+                actions = names
     return entries, actions

@@ -39,8 +39,9 @@ def hostile_page() -> Page:
         ],
         note=HOSTILE,
         commands=[HOSTILE, HOSTILE],
-        settings=[(HOSTILE, HOSTILE, True)],
-        versions=[(HOSTILE, HOSTILE)],
+        settings={HOSTILE: HOSTILE},
+        changed={HOSTILE},
+        versions={HOSTILE: HOSTILE},
     )
 
 

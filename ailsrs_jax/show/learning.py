@@ -64,25 +64,18 @@ class LearningFilm(Animation):
             UserError: there is no renderer.
         """
         colors = COLORS[-len(self.iterations) :]
+        form = "return {:.0f}" if self.unit == "return" else f"{{:.0f}} {self.unit}"
+        facts = list(map(form.format, self.values[self.iterations]))
         above = frames_of(
-            self.replays,
-            self.labels,
-            self.steps,
-            self.size,
-            self.watch,
-            facts=[self._fact(value) for value in self.values[self.iterations]],
-            colors=colors,
+            self.replays, self.labels, self.steps, self.size, self.watch, facts=facts, colors=colors
         )
         num_frames, _, width, _ = above.shape
         height = 2 * round(CURVE_HEIGHT * self.size / 2)
         empty, drawn = (self._curve(width, height, colors, shown) for shown in (False, True))
-        below = np.stack([empty] * num_frames)
-        for frame, end in enumerate(np.linspace(0, width / DRAWN_AFTER, num_frames).astype(int)):
-            below[frame, :, :end] = drawn[:, :end]
+        ends = np.linspace(0, width / DRAWN_AFTER, num_frames).astype(int)
+        is_drawn = np.arange(width) < ends[:, None]
+        below = np.where(is_drawn[:, None, :, None], drawn, empty)
         return np.concatenate([above, below], axis=1)
-
-    def _fact(self, value: float) -> str:
-        return f"return {value:.0f}" if self.unit == "return" else f"{value:.0f} {self.unit}"
 
     def _curve(self, width: int, height: int, colors: tuple[str, ...], shown: bool) -> np.ndarray:
         """Draw the values of all iterations, or only the axes, ``(height, width, 3)`` uint8."""

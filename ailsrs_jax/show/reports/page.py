@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import markupsafe
-from matplotlib.figure import Figure
 
 from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.errors import UserError
@@ -20,9 +19,8 @@ from ailsrs_jax.show.episodes.renderer import require_renderer
 from ailsrs_jax.show.episodes.replay import replay
 from ailsrs_jax.show.reports.charts import Chart
 from ailsrs_jax.show.reports.weights import WeightMaps
-from ailsrs_jax.show.style import encoded
 from ailsrs_jax.show.sweep_report import Table
-from ailsrs_jax.show.video import Animation, data_uri, load_of
+from ailsrs_jax.show.video import Animation, load_of, shipped_expert
 
 SECONDS = 10.0  # of each episode that is shown
 SIZES = {1: 480, 2: 480, 3: 360, 4: 320}  # of pictures [pixels], by the number of pictures
@@ -80,15 +78,19 @@ def policies_of(run: SavedRun) -> dict[int, SavedPolicy]:
 
 def play(
     title: str,
-    policies: dict[str, SavedPolicy],
-    expert: SavedPolicy | None,
+    policies: Mapping[str, SavedPolicy],
+    runs: Sequence[SavedRun],
     caption: str,
-    run: SavedRun,
     watch: Watch,
 ) -> Media:
-    """Render an episode of each policy and of the expert, as long as those of ``run``."""
+    """Render an episode of each policy of ``runs``, and of the shipped expert if there is one.
+
+    Episodes are as long as those of the first run.
+    """
+    run = runs[0]
+    expert = shipped_expert(run.config["env_id"], *(each.source for each in runs))
     if expert is not None:
-        policies = {"expert": expert} | policies
+        policies = {"expert": expert, **policies}
         caption += ", beside the shipped expert from the same initial state"
     try:
         require_renderer()
@@ -100,11 +102,6 @@ def play(
     except UserError as error:
         return Media(title, None, f"{error}.")
     return Media(title, uri, f"{caption}.")
-
-
-def embedded(figure: Figure) -> str:
-    """Return the figure as the data address of a PNG."""
-    return data_uri("image/png", encoded(figure, "png"))
 
 
 def millions(steps: float) -> str:

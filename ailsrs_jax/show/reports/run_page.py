@@ -22,7 +22,6 @@ from ailsrs_jax.show.reports.page import Media, Page, Part, Tile, millions, play
 from ailsrs_jax.show.reports.states import Met, differences, expert_reference, met_by, projection
 from ailsrs_jax.show.reports.weights import weight_maps
 from ailsrs_jax.show.sweep_report import Table, plus_minus
-from ailsrs_jax.show.video import shipped_expert
 from ailsrs_jax.trainers.parts.reference import Reference
 
 EPISODES = 100
@@ -193,6 +192,5 @@ def _video(
         f"{end}: {seed_name(seed)}" if len(ends) > 1 else seed_name(seed): policies[seed]
         for seed, end in ends.items()
     }
-    expert = shipped_expert(run.config["env_id"], run.source)
     which = "The policies of the best and the worst seed" if len(ends) > 1 else "The policy"
-    return play(title, shown, expert, f"{which}, in real time", run, watch)
+    return play(title, shown, [run], f"{which}, in real time", watch)

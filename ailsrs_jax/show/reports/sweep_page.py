@@ -17,18 +17,16 @@ from ailsrs_jax.show.figures import (
 )
 from ailsrs_jax.show.reports.charts import Chart, Line, Panel, colors_of
 from ailsrs_jax.show.reports.curves import draw_discriminators, draw_numbers, draw_series, seeds
-from ailsrs_jax.show.reports.page import Media, Page, Part, embedded, millions, play, policies_of
-from ailsrs_jax.show.style import STYLE
+from ailsrs_jax.show.reports.page import Media, Page, Part, millions, play, policies_of
+from ailsrs_jax.show.style import STYLE, encoded
 from ailsrs_jax.show.sweep_report import EXPLANATION, Table, result_tables
-from ailsrs_jax.show.video import shipped_expert
+from ailsrs_jax.show.video import data_uri
 from ailsrs_jax.sweeps.results import SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import Group, group_cells
 from ailsrs_jax.trainers.parts.reference import CLOSE
 
 MOST_SHOWN = 4  # pictures of a video: the expert and the first three series
 COMPARED = ("evaluation_return", "expert_distance")
-
-Runs = Mapping[str, SavedRun]  # by the name of their cell
 
 
 def sweep_page(directory: Path, *, video: bool = True, watch: Watch = unwatched) -> Page:
@@ -77,8 +75,11 @@ def _facts(results: SweepResults, groups: Sequence[Group]) -> str:
     return " · ".join(facts)
 
 
-def _videos(groups: Sequence[Group], runs: Runs, watch: Watch) -> list[Media]:
-    """Show on each task one run per series: the first seed with the most demonstrations."""
+def _videos(groups: Sequence[Group], runs: Mapping[str, SavedRun], watch: Watch) -> list[Media]:
+    """Show on each task one run per series: the first seed with the most demonstrations.
+
+    The ``runs`` are by the name of their cell.
+    """
     if not runs:
         return [Media("Policies", None, "There are no runs beside these tables to show.")]
     videos = []
@@ -91,10 +92,8 @@ def _videos(groups: Sequence[Group], runs: Runs, watch: Watch) -> list[Media]:
             for policy in policies_of(shown[name]).values()
         }
         if policies:
-            expert = shipped_expert(task, *(run.source for run in shown.values()))
             caption = "The first seed of each, with the most demonstrations, in real time"
-            one, *_ = shown.values()
-            videos.append(play(task, policies, expert, caption, one, watch))
+            videos.append(play(task, policies, list(shown.values()), caption, watch))
     return videos
 
 
@@ -105,7 +104,11 @@ def _figures(groups: Sequence[Group]) -> list[Media]:
             "Normalised returns": draw_scores(groups, looks),
             "Performance profiles": draw_profiles(groups, looks),
         }
-        return [Media(title, embedded(figure)) for title, figure in drawn.items() if figure]
+        return [
+            Media(title, data_uri("image/png", encoded(figure, "png")))
+            for title, figure in drawn.items()
+            if figure
+        ]
 
 
 def comparison_page(

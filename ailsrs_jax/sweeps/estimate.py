@@ -11,6 +11,7 @@ import jax
 from ailsrs_jax.components.policy import repeated
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.registry import open_env
+from ailsrs_jax.runs.iterations import compiled
 from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.trainers.algorithms import find_algorithm
@@ -95,7 +96,6 @@ def _steps_per_second(env_id: str, physics: str) -> float:
     env = open_env(env_id, physics).env
     policies = repeated(still_policy(env), TRIAL_EPISODES)
     keys = jax.random.split(jax.random.key(0), TRIAL_EPISODES)
-    jitted = jax.jit(lambda keys: simulate(env, policies, keys, TRIAL_STEPS).env_steps)
-    compiled = jitted.lower(keys).compile()
+    program, _ = compiled(lambda keys: simulate(env, policies, keys, TRIAL_STEPS).env_steps, keys)
     started = time.perf_counter()
-    return int(compiled(keys)) / (time.perf_counter() - started)
+    return int(program(keys)) / (time.perf_counter() - started)

@@ -32,6 +32,7 @@ class PpoSettings:
     num_minibatches: int = 16  #: each has num_envs / num_minibatches environments
     num_updates_per_batch: int = 10
     learning_rate: Positive = 3e-4
+    desired_kl: float = 0.0  #: of a step of Adam; learning_rate falls where it is more; 0: constant
     entropy_cost: float = 0.0
     discounting: UpToOne = 0.995
     gae_lambda: UpToOne = 0.98
@@ -123,6 +124,9 @@ def train_ppo(
             batch_size=settings.num_envs // settings.num_minibatches,
             num_minibatches=settings.num_minibatches,
             num_updates_per_batch=settings.num_updates_per_batch,
+            learning_rate_schedule="ADAPTIVE_KL" if settings.desired_kl else None,
+            learning_rate_schedule_max_lr=settings.learning_rate,
+            desired_kl=settings.desired_kl,
             entropy_cost=settings.entropy_cost,
             discounting=settings.discounting,
             gae_lambda=settings.gae_lambda,

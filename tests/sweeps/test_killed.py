@@ -21,7 +21,7 @@ env = "tests.point_mass:PointMass"
 seeds = [0, 1]
 
 [settings]
-num_iterations = 300
+num_iterations = 100
 episode_length = 20
 
 [[grid]]

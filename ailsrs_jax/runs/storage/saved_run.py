@@ -179,6 +179,10 @@ def _read_metrics(path: Path, config: Mapping[str, Any]) -> dict[str, np.ndarray
     seeds = config["seeds"]
     if not (np.isfinite(counts).all() and counts.size and set(counts[1]) <= set(seeds)):
         raise UserError(f"{path} is not of the run with the seeds {reprlib.repr(seeds)}")
+    for seed in seeds:
+        iterations = counts[0, counts[1] == seed]
+        if not np.array_equal(iterations, np.arange(len(iterations))):
+            raise UserError(f"{path} lacks rows of seed {seed}, or has them in another order")
     return metrics
 
 

@@ -257,6 +257,17 @@ def test_a_damaged_run_is_one_line(changes: dict[str, Any], problem: str, tmp_pa
     assert not (run / "report.html").exists()
 
 
+def test_a_run_that_lacks_rows_is_refused(tmp_path: Path) -> None:
+    """The row of an iteration is found by its number, as the kept one's is."""
+    run = write_run(tmp_path / "run")
+    header, first, *others = (run / "metrics.csv").read_text().splitlines(keepends=True)
+    assert first.startswith("0,")
+    assert others
+    (run / "metrics.csv").write_text("".join([header, *others]))
+    with pytest.raises(ail.UserError, match="lacks rows of seed 0"):
+        ail.report(run)
+
+
 def test_mistakes(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run")
     with pytest.raises(ail.UserError, match="is neither a run nor a sweep"):

@@ -70,7 +70,7 @@ def test_diverging_simulations_are_not_reset(
 
 @pytest.mark.parametrize("readings", [(), ("cfrc_ext",)])
 def test_unstable_simulations_become_nan(readings: tuple[str, ...]) -> None:
-    """In both pools of the C engine; other simulations of the batch go on."""
+    """In both ways of the C engine to step; other simulations of the batch go on."""
     model = mujoco.MjModel.from_xml_string(STIFF_SLIDER)
     physics = make_physics("mujoco", model, 4, readings)
     assert not model.opt.disableflags  # the caller's model is unchanged

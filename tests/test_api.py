@@ -129,7 +129,7 @@ ail.report_sweep(Path("runs/sweep"))
 """
 WRONG = {
     "ail.trian('hopper')": "has no attribute",
-    "ail.train('hopper', seeds=3)": "incompatible type",
+    "ail.train('hopper', resume='yes')": "incompatible type",
     "ail.evaluate('policy.npz')": "incompatible type",
     "ail.AilsrsSettings(noise=1)": "Unexpected keyword",
 }

@@ -52,7 +52,7 @@ def test_gymnasium_is_stepped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_the_whole_command() -> None:
-    command = "-m ailsrs_jax benchmark swimmer --physics mujoco --json --repeats 1"
+    command = "-m ailsrs_jax benchmark hopper --physics mujoco --json --repeats 1"
     sizes = "--num-directions 2 --episode-length 10"
     arguments = [sys.executable, *command.split(), *sizes.split()]
     result = subprocess.run(arguments, check=True, capture_output=True, text=True)
@@ -60,4 +60,4 @@ def test_the_whole_command() -> None:
     assert {"bare", "train", "peer:gymnasium", "peer:brax_ars"} <= {
         row["stage"] for row in report["rows"]
     }
-    assert "Swimmer-v5 mujoco train / peer:brax_ars" in report["ratios"]
+    assert "Hopper-v5 mujoco train / peer:brax_ars" in report["ratios"]

@@ -19,6 +19,7 @@ from tests.point_mass import PointMass, noise
 
 SEARCH = {"num_directions": 4, "num_top_directions": 2, "episode_length": 20}
 ADVERSARY = {
+    "cycle_iterations": 0,  # no early end
     "discriminator_batch_size": 16,
     "memory_iterations": 3,
     "memory_samples": 80,

@@ -36,4 +36,4 @@ def test_trajectories_are_held_once(standardize_with: str) -> None:
     few, many, of_three_seeds = planned(100, 1), planned(200, 1), planned(100, 3)
     floats = SIZE + ACTIONS + 1 + (SIZE if standardize_with == "running" else 0)
     np.testing.assert_allclose(many - few, 4 * 200 * settings.episode_length * floats, rtol=0.1)
-    np.testing.assert_allclose(of_three_seeds, 3 * few, rtol=0.05)
+    np.testing.assert_allclose(of_three_seeds, 3 * few, rtol=0.1)

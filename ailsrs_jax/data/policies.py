@@ -101,7 +101,7 @@ class SavedPolicy(ABC):
     @property
     def is_stochastic(self) -> bool:
         """Whether actions can be drawn at random."""
-        return bool(np.any(vars(self).get("action_std", 0.0)))
+        return bool(self._action_std().any())
 
     @property
     def noise_std(self) -> np.ndarray:
@@ -112,7 +112,10 @@ class SavedPolicy(ABC):
         """
         if not self.is_stochastic:
             raise UserError("the policy is deterministic: there are no actions to draw")
-        return vars(self)["action_std"]
+        return self._action_std()
+
+    def _action_std(self) -> np.ndarray:
+        return np.zeros(len(self.action_low))
 
     def require_shape(self, action_size: int, observation_size: int) -> None:
         """Raise UserError unless the policy takes and returns vectors of these sizes."""
@@ -162,11 +165,17 @@ class SavedLinearPolicy(SavedPolicy):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SavedMlpPolicy(SavedPolicy):
-    """A Gaussian policy whose mean is a multilayer perceptron of (observation − mean) / std."""
+    """A Gaussian policy whose mean is a multilayer perceptron of (observation − mean) / std.
+
+    Each layer but the last is ``h ← tanh(W h + b)``, the last ``W h + b``.
+    """
 
     weights: tuple[np.ndarray, ...]  # (out, in) of each layer
     biases: tuple[np.ndarray, ...]  # (out,)
     action_std: np.ndarray  # (p,) of the Gaussian
+
+    def _action_std(self) -> np.ndarray:
+        return self.action_std
 
     @property
     def layers(self) -> Layers:

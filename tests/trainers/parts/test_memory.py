@@ -33,7 +33,10 @@ def test_trajectories_are_held_once(standardize_with: str) -> None:
         compiled = jax.jit(jax.vmap(trainer.update)).lower(state).compile()
         return compiled.memory_analysis().temp_size_in_bytes
 
-    few, many, of_three_seeds = planned(100, 1), planned(200, 1), planned(100, 3)
     floats = SIZE + ACTIONS + 1 + (SIZE if standardize_with == "running" else 0)
-    np.testing.assert_allclose(many - few, 4 * 200 * settings.episode_length * floats, rtol=0.1)
-    np.testing.assert_allclose(of_three_seeds, 3 * few, rtol=0.1)
+    of_200_episodes = 4 * 200 * settings.episode_length * floats
+    few, of_three_seeds = planned(100, 1), planned(100, 3)
+    np.testing.assert_allclose(planned(200, 1) - few, of_200_episodes, rtol=0.1)
+    more = planned(200, 3) - of_three_seeds
+    np.testing.assert_allclose(more, 3 * of_200_episodes, rtol=0.1)
+    assert of_three_seeds < 1.05 * 3 * few  # some buffers serve all seeds

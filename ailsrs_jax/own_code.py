@@ -27,7 +27,10 @@ def is_own(name: str) -> bool:
 
 
 def allow(*names: str | None) -> None:
-    """Allow files to name this code, because the user has named it in this process."""
+    """Allow files to name this code, because the user has named it in this process.
+
+    None stands for no name.
+    """
     _allowed.update(names)
 
 

@@ -32,7 +32,9 @@ class PpoSettings:
     num_minibatches: int = 16  #: each has num_envs / num_minibatches environments
     num_updates_per_batch: int = 10
     learning_rate: Positive = 3e-4
-    desired_kl: float = 0.0  #: of a step of Adam; learning_rate falls where it is more; 0: constant
+    #: KL divergence from the policy that made the batch. While it is more than twice as large, the
+    #: learning rate falls from learning_rate, and it rises again below half. 0: it is constant.
+    desired_kl: float = 0.0
     entropy_cost: float = 0.0
     discounting: UpToOne = 0.995
     gae_lambda: UpToOne = 0.98

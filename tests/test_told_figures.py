@@ -166,8 +166,8 @@ def test_the_readme_agrees_with_the_results_of_the_search() -> None:
     close, in_part = (verdicts[name] for name in ("close to the expert", "in part like the expert"))
     assert len(close) + len(in_part) == sum(map(len, by_task.values()))
     assert (
-        f"it calls {len(close)} *close to the expert*, which return {min(close):.2f} or more, and one "
-        f"*in part like the expert*, which returns {max(in_part):.2f}."
+        f"it calls {len(close)} *close to the expert*, which return {min(close):.2f} or more, and "
+        f"one *in part like the expert*, which returns {max(in_part):.2f}."
     ) in README.read_text()
 
 

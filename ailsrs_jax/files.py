@@ -119,6 +119,19 @@ def read_json_object(path: Path, what: str, limit: int = MAX_JSON) -> dict[str, 
     return value
 
 
+def read_json_if_there(path: Path, what: str) -> dict[str, Any] | None:
+    """Read a file as :func:`read_json_object` does; return None if it is not there.
+
+    Another process may remove it while it is read.
+    """
+    try:
+        return read_json_object(path, what)
+    except UserError:
+        if os.path.lexists(path):
+            raise
+        return None
+
+
 def require_plausible(size: int, file_size: int, source: str) -> None:
     """Raise UserError if ``file_size`` bytes would unpack to implausibly many, ``size``.
 

@@ -94,8 +94,9 @@ def compare(
 ) -> None:
     """Show runs of one task side by side: returns, distances, and what they cost.
 
-    Returns are those of the evaluation of the kept iteration. The time until 0.9 of the expert includes
-    compilation. It is shared by the seeds of a run, and depends on what else the machine did.
+    Returns are those of the evaluation of the kept iteration. The time until 0.9 of the expert
+    includes compilation. It is shared by the seeds of a run, and depends on what else the machine
+    did.
 
     Example: ailsrs compare runs/hopper runs/gail
 

@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,7 +90,8 @@ def sweep(
     except KeyboardInterrupt:
         print(f"saved; continue with:\n{this_command()}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))
-    report_rows(terminal, rows, output)
+    mine = {cell.name for unit in units for cell in unit}
+    report_rows(terminal, rows, output, mine, "; the same command tries them again")
 
 
 def merge(
@@ -108,18 +109,28 @@ def merge(
     """
     from ailsrs_jax.sweeps.merge import merge_sweeps
 
-    report_rows(terminal, merge_sweeps(output, sources), output)
+    rows = merge_sweeps(output, sources)
+    report_rows(terminal, rows, output, {row["cell"] for row in rows})
 
 
-def report_rows(terminal: Terminal, rows: Sequence[Mapping[str, Any]], output: Path) -> None:
-    """Write tables and figures, and print what failed; if any cell did, exit with code 1."""
+def report_rows(
+    terminal: Terminal,
+    rows: Sequence[Mapping[str, Any]],
+    output: Path,
+    mine: Set[str],
+    advice: str = "",
+) -> None:
+    """Write tables and figures, and print which of the cells ``mine`` failed.
+
+    If any did, end with that number, ``advice``, and exit code 1.
+    """
     from ailsrs_jax.show.sweep_report import report_sweep
     from ailsrs_jax.sweeps.results import DONE, NOT_RUN
 
     report_sweep(output)
     terminal.json({"output": str(output), "cells": rows})
     done = sum(row["status"] == DONE for row in rows)
-    failed = [row for row in rows if row["status"] not in (DONE, NOT_RUN)]
+    failed = [row for row in rows if row["cell"] in mine and row["status"] not in (DONE, NOT_RUN)]
     errors = Console(stderr=True, soft_wrap=True, highlight=False)  # --quiet does not silence it
     for row in failed:
         errors.print(f"{row['cell']} {row['status']}", style="red", markup=False)
@@ -127,9 +138,7 @@ def report_rows(terminal: Terminal, rows: Sequence[Mapping[str, Any]], output: P
         f"{done} of {len(rows)} cells done; table.md, figures/ and results.csv are in {output}"
     )
     if failed:
-        errors.print(
-            f"{len(failed)} of {len(rows)} cells failed; the same command tries them again"
-        )
+        errors.print(f"{len(failed)} of {len(mine)} cells failed{advice}")
         sys.exit(1)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ailsrs_jax.errors import UserError, os_errors
+from ailsrs_jax.runs.storage.directory import locked
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.stacks import begun_stacks
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE, is_done
@@ -22,7 +23,7 @@ def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[Tabl
 
     Raises:
         UserError: the shards are not of the same sweep, or cannot be read or copied; or ``output``
-            holds an unfinished stack.
+            holds an unfinished stack, or another process trains a cell there.
     """
     if not sources:
         raise UserError("there is nothing to merge: name the directories of the shards")
@@ -48,11 +49,15 @@ def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[Tabl
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Replace the directory ``target`` by a copy of ``source``, once the copy is complete."""
+    """Replace the directory ``target`` by a copy of ``source``, once the copy is complete.
+
+    Raises:
+        UserError: another process writes to ``target``, or ``source`` cannot be copied.
+    """
     for path in source.rglob("*"):
         if path.is_symlink() or not (path.is_file() or path.is_dir()):
             raise UserError(f"{path} is neither a file nor a directory: a run did not write it")
-    with os_errors(f"cannot copy {source} to {target}"):
+    with os_errors(f"cannot copy {source} to {target}"), locked(target):
         temporary = target.with_name(f".{target.name}")
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.copytree(source, temporary)

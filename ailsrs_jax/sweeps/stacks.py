@@ -1,10 +1,11 @@
 """Stacks: cells of a sweep that are trained as one program and share a checkpoint until the end."""
 
+import contextlib
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from ailsrs_jax.files import read_json_object, write_json
+from ailsrs_jax.files import read_json_if_there, write_json
 from ailsrs_jax.sweeps.cells import Cell
 
 STACK_FILE = "cells.json"  # in the directory of an unfinished stack
@@ -25,13 +26,17 @@ def begun_stacks(output: Path, names: set[str]) -> list[Path]:
 def _members(stack: Path) -> list[str]:
     """Return the names of the cells of a stack; none before its first checkpoint.
 
+    Another process may remove the stack meanwhile, because all its cells are finished.
+
     Raises:
         UserError: the file is damaged.
     """
-    path = stack / STACK_FILE
-    if not path.exists() or not any(stack.glob(CHECKPOINTS)):
-        return []
-    names = read_json_object(path, "the list of a stack; delete its directory").get("cells")
+    content = None
+    with contextlib.suppress(FileNotFoundError):
+        if any(stack.glob(CHECKPOINTS)):
+            what = "the list of a stack; delete its directory"
+            content = read_json_if_there(stack / STACK_FILE, what)
+    names = (content or {}).get("cells")
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 

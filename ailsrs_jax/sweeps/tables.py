@@ -2,7 +2,6 @@
 
 import functools
 import json
-import os
 import platform
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import InUseError, UserError, one_line
-from ailsrs_jax.files import read_json_object, write_atomically, write_json
+from ailsrs_jax.files import read_json_if_there, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.storage.journal import Result
@@ -156,9 +155,10 @@ def load_row(directory: Path) -> tuple[TableRow, TableRow | None]:
         UserError: the file is damaged.
     """
     path = directory / ROW_FILE
-    if not os.path.lexists(path):
+    what = "the row of a cell; delete it to evaluate the cell again"
+    content = read_json_if_there(path, what)
+    if content is None:
         return {}, None
-    content = read_json_object(path, "the row of a cell; delete it to evaluate the cell again")
     row, timing = content.get("row"), content.get("timing")
     if (
         not (_is_flat(row) and isinstance(row.get("status"), str))

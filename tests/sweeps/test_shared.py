@@ -7,12 +7,15 @@ from typing import Any
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax import files
 from ailsrs_jax.errors import InUseError
-from ailsrs_jax.runs.storage.directory import claimed
+from ailsrs_jax.files import write_json
+from ailsrs_jax.runs.storage.directory import claimed, locked
 from ailsrs_jax.sweeps.merge import merge_sweeps
 from ailsrs_jax.sweeps.spec import expand
+from ailsrs_jax.sweeps.stacks import begun_stacks
 from ailsrs_jax.sweeps.sweep import choose_units, run_units
-from ailsrs_jax.sweeps.tables import failed_row, save_row
+from ailsrs_jax.sweeps.tables import failed_row, load_row, save_row
 from tests.sweeps.toy_sweep import Watch, quick_grid, two_cells
 
 
@@ -72,6 +75,9 @@ def test_merging_loses_nothing_and_copies_files_only(
     with pytest.raises(ail.UserError, match="more is neither a file nor a directory"):
         merge_sweeps("merged", ["shard"])
     (theirs / "more").unlink()
+    with locked(ours), pytest.raises(InUseError, match="another process is writing to merged"):
+        merge_sweeps("merged", ["shard"])
+    assert (ours / "metrics.csv").read_bytes() == metrics
     assert merge_sweeps("merged", ["shard"]) == one_by_one[1]
 
 
@@ -85,6 +91,38 @@ def test_a_stack_is_finished_before_anything_is_merged_into_it(
         merge_sweeps("merged", [one_by_one[0]])
     rows = ail.sweep(spec, "merged")
     assert merge_sweeps("merged", [one_by_one[0]]) == rows
+
+
+def test_files_may_go_while_they_are_read(
+    in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process ends a stack, or begins a failed cell again, while another one looks at it."""
+    cell = expand(two_cells()).cells[0]
+    directory, stack = Path("cells", cell.name), Path("stacks", "1")
+    write_json(stack / "cells.json", {"cells": [cell.name]})
+    (stack / "checkpoints" / "10").mkdir(parents=True)
+    save_row(directory, failed_row(cell, "no space"), None)
+    assert begun_stacks(Path(), {cell.name}) == [stack]
+    assert load_row(directory)[0]["status"] == "failed: no space"
+    with monkeypatch.context() as patched:
+        reading = files.require_file
+
+        def gone(path: Path) -> None:
+            path.unlink()
+            reading(path)
+
+        patched.setattr(files, "require_file", gone)
+        assert begun_stacks(Path(), {cell.name}) == []
+        assert load_row(directory) == ({}, None)
+    with monkeypatch.context() as patched:
+
+        def emptied(path: Path, pattern: str) -> Any:
+            if path == stack:
+                raise FileNotFoundError(path)
+            return [stack]
+
+        patched.setattr(Path, "glob", emptied)
+        assert begun_stacks(Path(), {cell.name}) == []
 
 
 def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:

@@ -224,8 +224,13 @@ def test_the_command_line(in_tmp_path: Path, monkeypatch, capsys) -> None:
     said = capsys.readouterr()
     assert said.out == ""
     assert "cannot resume" in said.err
+    codes = {ailsrs(monkeypatch, *arguments, "--shard", f"{shard}/2") for shard in range(2)}
+    assert codes == {0, 1}  # each shard answers for its own cells
+    capsys.readouterr()
     assert ailsrs(monkeypatch, "merge", "merged", "out", "--json") == 1
-    cells = json.loads(capsys.readouterr().out)["cells"]
+    said = capsys.readouterr()
+    assert said.err.endswith("1 of 2 cells failed\n")
+    cells = json.loads(said.out)["cells"]
     assert [row["status"].partition(":")[0] for row in cells] == ["done", "failed"]
 
 

@@ -46,7 +46,7 @@ def claimed(
     # there is a lock file, "another process is writing" is the better message, so it comes first.
     if not resume and not os.path.lexists(path / LOCK):
         _require_empty(path)
-    with _locked(path):
+    with locked(path):
         if not resume:
             _require_empty(path)
             config.save(config_path)
@@ -66,7 +66,13 @@ def _require_empty(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
+    """Make the directory ``path`` if it is missing, and lock it.
+
+    Raises:
+        InUseError: another process has locked it.
+        UserError: it cannot be written.
+    """
     with contextlib.ExitStack() as stack:
         try:
             path.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from ailsrs_jax.cli.arguments import Count, OwnEnv, PhysicsName, maybe
 from ailsrs_jax.cli.terminal import TERMINAL, Terminal, TerminalOptions
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.storage.metrics import percentage
 
@@ -47,7 +47,14 @@ def inspect(
         task: The environment, named as for ailsrs train; by default the one that a .npz file names.
         num_trajectories: Inspect the first N episodes; by default all.
     """
-    if Path(demonstrations, "config.json").is_file():
+    with os_errors(f"cannot read {demonstrations}"):
+        is_run = Path(demonstrations, "config.json").is_file()
+    if is_run:
+        if (task, num_trajectories, physics, env) != (None, None, "auto", None):
+            raise UserError(
+                f"{demonstrations} is the directory of a run: it is judged by its records, so "
+                "leave the other options out"
+            )
         _print_run(Path(demonstrations), terminal)
         return
     from ailsrs_jax.data.demonstrations import load_demonstrations

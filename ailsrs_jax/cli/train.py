@@ -33,6 +33,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.metrics import percentage
 
 if TYPE_CHECKING:
+    from ailsrs_jax.envs import Env
     from ailsrs_jax.runs.storage.journal import Result
 
 
@@ -120,6 +121,8 @@ def train(
     require_tracker(track)
     changes = assignments(settings)
     if iterations is not None:
+        if "num_iterations" in changes:
+            raise UserError("--iterations is the setting num_iterations: give one of them")
         changes = {"num_iterations": str(iterations)} | changes
     spec = RunSpec(
         env=env,
@@ -150,6 +153,8 @@ def train(
         expert_return = float(np.mean(data.expert_returns))
         given = data.source.described(data.num_trajectories, data.subsample)
         learns_from = f"{given}, return {expert_return:.0f}"
+        if data.time_limit != config.settings.episode_length:
+            expert_return = None  # of episodes of another length
         learns_from += "" if data.infer is None else ", actions inferred first"
     terminal.line(
         f"{find_algorithm(algorithm).title} on {config.env_id} · {learns_from} · preset {preset} · "
@@ -176,11 +181,11 @@ def train(
         sys.exit(128 + (stop.received or signal.SIGINT))
     assert isinstance(result, Result)  # a single run raises its error
     if is_first_process():
-        report_result(result, output, physics, terminal)
+        report_result(result, output, planned.simulator.env, terminal)
 
 
-def report_result(result: "Result", output: Path, physics: str, terminal: Terminal) -> None:
-    """Evaluate the kept policies, print their returns and draw the training curve."""
+def report_result(result: "Result", output: Path, env: "Env", terminal: Terminal) -> None:
+    """Evaluate the kept policies in ``env``, print their returns and draw the training curve."""
     from ailsrs_jax.runs.evaluation import evaluate
     from ailsrs_jax.show.curves import plot_training_curve
     from ailsrs_jax.trainers.algorithms import find_algorithm
@@ -190,19 +195,20 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
     if terminal.quiet and not terminal.as_json:
         return
     config, expert = result.config, result.expert_returns
-    length = config.settings.episode_length
+    length, demonstrated = config.settings.episode_length, result.demonstrated_length
     mean, std = (None, None) if expert is None else (float(expert.mean()), float(expert.std()))
     is_distance = find_algorithm(config.algorithm).kept_by == "expert_distance"
     table = Table("seed", "kept at", "return, 100 episodes", "of the expert", "distance", box=None)
     fields: list[dict[str, Any]] = []
     for seed, policy in result.policies.items():
         with terminal.stage(f"evaluating seed {seed}"):
-            evaluation = evaluate(policy, physics=physics, episode_length=length)
+            evaluation = evaluate(policy, env=env, episode_length=length)
         kept, returns, drawn = result.kept_iterations[seed], str(evaluation), None
         if policy.is_stochastic:
-            sampled = evaluate(policy, physics=physics, episode_length=length, stochastic=True)
+            sampled = evaluate(policy, env=env, episode_length=length, stochastic=True)
             returns, drawn = f"{returns} (actions sampled: {sampled})", evaluation_fields(sampled)
-        share, distance = percentage(evaluation.mean, mean), -result.scores[seed]
+        share = percentage(evaluation.mean, mean if demonstrated == length else None)
+        distance = -result.scores[seed]
         table.add_row(
             str(seed), str(kept), returns, share, f"{distance:.2f}" if is_distance else ""
         )
@@ -212,8 +218,8 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
             row |= {"distance": distance, "verdict": verdict(distance)}
         fields.append(row | evaluation_fields(evaluation) | {"drawn": drawn})
     if expert is not None:
-        other = result.demonstrated_length
-        note = f" in episodes of {other} steps, not {length}" if other != length else ""
+        is_other = demonstrated != length
+        note = f" in episodes of {demonstrated} steps, not {length}" if is_other else ""
         table.add_row("expert", "", f"{mean:.0f} ± {std:.0f}{note}", style="dim")
     terminal.console.print(table)
     if is_distance:
@@ -233,6 +239,6 @@ def report_result(result: "Result", output: Path, physics: str, terminal: Termin
             "seeds": fields,
             "expert_return_mean": mean,
             "expert_return_std": std,
-            "expert_episode_length": result.demonstrated_length,
+            "expert_episode_length": demonstrated,
         }
     )

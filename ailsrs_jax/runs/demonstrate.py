@@ -161,7 +161,8 @@ def record(
             )
         rng = np.random.default_rng(seed)
         noise = rng.normal(size=(num_trajectories, length, task.env.action_size)) * action_noise
-        seeds = [seed + episode for episode in range(num_trajectories)]
+        # An evaluation with this seed has the seeds from it on, so that it starts elsewhere.
+        seeds = rng.integers(2**31, size=num_trajectories).tolist()
         episodes, env_rewards = task.env.follow(policy, seeds, noise)
     if diverged := np.flatnonzero(episodes.diverged).tolist():
         raise UserError(

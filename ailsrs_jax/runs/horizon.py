@@ -11,6 +11,7 @@ from typing import Any
 
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.storage.config import find_run, read_config
+from ailsrs_jax.runs.storage.policies import EVALUATED
 
 EPISODE_LENGTH = 1000  # Gymnasium's time limit for all of the tasks
 LONGEST = 10_000  # steps that only a file asks for; simulating more could fill the memory
@@ -45,7 +46,8 @@ def policy_horizon(path: Path) -> int | None:
     Raises:
         UserError: the configuration of the run is damaged.
     """
-    origin = find_run(path)
+    folder = path.absolute().parent
+    origin = find_run(folder if folder.name == EVALUATED else path)
     if origin is None:
         return None
     file = origin[0] / "config.json"

@@ -64,8 +64,8 @@ def draw_curves(run: SavedRun) -> Figure:
             if name == "evaluation_return":
                 if run.imitates:  # not trained on
                     label = "return (not used)"
-                if run.expert_return is not None:
-                    axes.axhline(run.expert_return, label="expert", **EXPERT)
+                if run.comparable_expert_return is not None:
+                    axes.axhline(run.comparable_expert_return, label="expert", **EXPERT)
                 axes.legend()
             elif name == "policy_score":
                 lines = {"of the expert": DASHED, "of the policy": "-"}

@@ -126,7 +126,7 @@ def film_learning(
     iterations = choose({iteration: returns[iteration] for iteration in files})
     policies = [load_of(run, files[iteration]) for iteration in iterations]
     require_renderer()
-    expert = run.expert_return or 0.0
+    expert = run.comparable_expert_return or 0.0
     length = policy_horizon(kept_file)
     film = LearningFilm(
         replays=[
@@ -195,7 +195,7 @@ def _named_policies(run: SavedRun, seed_directory: Path) -> dict[str, SavedPolic
             what = "kept policy"
         elif iteration == 0 and run.config["settings"].get("behavior_cloning_start"):
             what = "clone of the expert"
-        share = percentage(returns[iteration], run.expert_return)
+        share = percentage(returns[iteration], run.comparable_expert_return)
         result = f"{share} of the expert" if share else f"return {returns[iteration]:.0f}"
         policies[f"{what}: {result}"] = load_of(run, path)
     return policies

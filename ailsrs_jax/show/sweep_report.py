@@ -21,6 +21,7 @@ from ailsrs_jax.sweeps.statistics import (
     median_reached,
     probability_of_improvement,
     scores,
+    shared_conditions,
     shared_scores,
 )
 
@@ -107,7 +108,7 @@ def _interquartile_means(groups: Sequence[Group]) -> list[Table]:
         measured = (scores(mine), scores(mine, "normalized_over_training"))
         means = [estimate(interquartile_mean(strata)) if strata else "–" for strata in measured]
         rows.append([series, f"{done} of {sum(group.num_planned for group in mine)}", *means])
-    number = len({group.condition for mine in common.values() for group in mine})
+    number = len(shared_conditions(groups))
     title = f"Interquartile means over {number} condition{'s' * (number > 1)}"
     return [Table(title, ["", "runs", "kept policy", "over training"], rows, COMPARED)]
 

@@ -112,21 +112,41 @@ def group_cells(cells: Iterable[CellResult]) -> list[Group]:
     ]
 
 
-def comparable(groups: Iterable[Group]) -> dict[str, list[Group]]:
+def comparable(groups: Sequence[Group]) -> dict[str, list[Group]]:
     """Return the groups of each series under the conditions that all series share.
 
-    A condition is a task and a number of demonstrations; series without demonstrations are compared
-    by task alone. Groups without a normalized return are left out.
+    Groups without a normalized return are left out.
     """
+    by_series = _measured(groups)
+    shared = shared_conditions(groups)
+    shared |= {(task, None) for task, _ in shared}
+    return {
+        series: [group for group in mine if group.condition in shared]
+        for series, mine in by_series.items()
+    }
+
+
+def shared_conditions(groups: Sequence[Group]) -> set[tuple[str, int | None]]:
+    """Return the conditions under which all series were measured.
+
+    A condition is a task and a number of demonstrations. A series without demonstrations was
+    measured under every condition of its tasks.
+    """
+    measured = [{group.condition for group in mine} for mine in _measured(groups).values()]
+    return {
+        (task, number)
+        for task, number in set[tuple[str, int | None]]().union(*measured)
+        if all({(task, number), (task, None)} & mine for mine in measured)
+    }
+
+
+def _measured(groups: Iterable[Group]) -> dict[str, list[Group]]:
+    """Return the groups of each series that have a normalized return."""
     by_series: dict[str, list[Group]] = defaultdict(list)
     for group in groups:
         if scores([group]):
             by_series[group.series].append(group)
-
-    def is_shared(group: Group) -> bool:
-        return all(any(_match(group, one) for one in mine) for mine in by_series.values())
-
-    return {series: list(filter(is_shared, mine)) for series, mine in by_series.items()}
+    return by_series
 
 
 def shared_scores(
@@ -136,11 +156,6 @@ def shared_scores(
     there = {group.condition: group for group in others}
     pairs = [scores([one, there[one.condition]]) for one in mine if one.condition in there]
     return [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
-
-
-def _match(one: Group, other: Group) -> bool:
-    numbers = {one.num_trajectories, other.num_trajectories}
-    return one.env_id == other.env_id and (len(numbers) == 1 or None in numbers)
 
 
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:

@@ -84,6 +84,8 @@ def test_train_evaluate_and_resume(monkeypatch, capsys) -> None:
     assert rows[1]["return_mean"] == expected.mean
     assert rows[1]["physics"] == "gymnasium"
 
+    assert ailsrs(monkeypatch, "inspect", "run", "hopper") == 2
+    assert "leave the other options out" in capsys.readouterr().err
     assert ailsrs(monkeypatch, "inspect", "run") == 0
     assert re.match(r"seed 0: .* the expert at iteration \d", capsys.readouterr().out)
 

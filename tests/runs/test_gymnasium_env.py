@@ -8,12 +8,15 @@ import signal
 import threading
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import ailsrs_jax as ail
+from ailsrs_jax.envs import registry
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.runs.evaluation import evaluation_episodes
 from tests.cli.test_cli import ailsrs
 from tests.workers.environments import Mass, happens_first
 from tests.workers.test_pool import children, make
@@ -57,10 +60,15 @@ def test_the_whole_loop(in_tmp_path: Path, monkeypatch, capsys) -> None:
     demonstrations = ail.load_demonstrations("swing.npz")
     assert demonstrations.env_id == PENDULUM
     assert demonstrations.observations.shape == (3, 200, 3)  # the environment's time limit
-
     train = ["train", PENDULUM, "--demonstrations", "swing.npz", "--workers", "2", *SETTINGS]
-    assert ailsrs(monkeypatch, *train, "--output", "run") == 0
+    workers = Mock(wraps=registry._make_gymnasium)
+    with monkeypatch.context() as patched:
+        patched.setattr(registry, "_make_gymnasium", workers)
+        assert ailsrs(monkeypatch, *train, "--output", "run") == 0
+    assert {call.args[1] for call in workers.call_args_list} == {"2"}  # to evaluate, too
     policy = ail.load_policy("run/seed_0/policy.npz")
+    starts = evaluation_episodes(policy, 3, "gymnasium", episode_length=30).observations[:, 0]
+    assert not np.isin(demonstrations.observations[:, 0, 2], starts[:, 2]).any()
     capsys.readouterr()
     assert ailsrs(monkeypatch, "evaluate", "run", "--episodes", "3", "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)["policies"]

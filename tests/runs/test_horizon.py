@@ -14,7 +14,9 @@ from ailsrs_jax.runs.horizon import LONGEST
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.saved_run import read_run
+from ailsrs_jax.show.curves import draw_curves
 from ailsrs_jax.show.episodes.replay import replay
+from ailsrs_jax.show.learning import _named_policies
 from ailsrs_jax.show.reports.run_page import run_page
 from tests.cli.test_cli import ailsrs, few_episodes  # noqa: F401
 from tests.point_mass import EPISODE_LENGTH, PointMass
@@ -88,7 +90,8 @@ def test_everything_measures_with_the_horizon_of_the_run(
         result = json.loads(capsys.readouterr().out)
         return [row["length_mean"] for row in result.get("policies", [result])]
 
-    assert lengths("evaluate", "run", "--episodes", "2") == [time_limit]
+    for policy in ("run", "run/seed_0/policy.npz", "run/seed_0/iterations/0.npz"):
+        assert lengths("evaluate", policy, "--episodes", "2") == [time_limit]
     assert lengths("evaluate", "run", "--episodes", "2", "--episode-length", "7") == [7]
     demonstrate = ("demonstrate", "swimmer", "--expert", "run/seed_0/policy.npz")
     assert lengths(*demonstrate, "--num-trajectories", "1", "--output", "d.npz") == [time_limit]
@@ -114,8 +117,15 @@ def test_returns_of_other_horizons_are_not_compared(
     train = ("train", "swimmer", "--demonstrations", "swimmer.npz", "--algorithm", "bc")
     options = ("--iterations", "1", *settings, "--physics", "mujoco", "--output", "run")
     assert ailsrs(monkeypatch, *train, *options) == 0
-    assert "in episodes of 30 steps, not 20" in " ".join(capsys.readouterr().out.split())
-    page = run_page(read_run(Path("run")), episodes=1, video=False)
+    said = capsys.readouterr().out
+    assert "in episodes of 30 steps, not 20" in " ".join(said.split())
+    assert "%" not in said  # of the expert's return
+    run = read_run(Path("run"))
+    (name,) = _named_policies(run, Path("run/seed_0"))
+    assert "of the expert" not in name
+    _, labels = draw_curves(run).axes[0].get_legend_handles_labels()
+    assert labels == ["seed 0"]
+    page = run_page(run, episodes=1, video=False)
     assert page.tiles[0].value.startswith("return ")
     assert page.parts[0].rows[0][2] == "–"
     assert page.tiles[1].note.endswith("in episodes of 30 steps, not 20")

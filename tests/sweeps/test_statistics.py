@@ -180,6 +180,23 @@ def test_only_what_all_have_been_measured_on_is_compared() -> None:
     }
 
 
+def test_conditions_are_shared_by_all_series_at_once() -> None:
+    """Hopper was measured by all three, but never with the same number of demonstrations."""
+    groups = statistics.group_cells(
+        cells(
+            row(1, num_trajectories=10),
+            row(1, env_id="Swimmer-v5", num_trajectories=10),
+            row(1, label="GAIL", num_trajectories=40),
+            row(1, label="GAIL", env_id="Swimmer-v5", num_trajectories=10),
+            row(1, label="ARS", num_trajectories=""),
+            row(1, label="ARS", env_id="Swimmer-v5", num_trajectories=""),
+        )
+    )
+    common = statistics.comparable(groups)
+    assert {group.env_id for mine in common.values() for group in mine} == {"Swimmer-v5"}
+    assert statistics.shared_conditions(groups) == {("Swimmer-v5", 10)}  # for ARS, too
+
+
 def test_scores_leave_out_what_was_not_measured() -> None:
     groups = statistics.group_cells(
         cells(row(1.0), row(0.5, seed=1, mean_return_over_training=np.nan))

@@ -56,18 +56,22 @@ def compare_runs(directories: Sequence[Path]) -> Comparison:
     return Comparison(tasks.pop(), max_steps, tuple(_summary(run, times) for run in saved))
 
 
-def _summary(run: SavedRun, times: np.ndarray) -> RunSummary:
+def _summary(run: SavedRun, grid: np.ndarray) -> RunSummary:
     expert = run.comparable_expert_return
-    table = read_metrics(run.directory / "seconds.csv")
+    times = run.directory / "seconds.csv"
+    table = read_metrics(times)
+    if not {"seconds", "compile_seconds"} <= set(table):
+        raise UserError(f"{times} does not have the columns seconds and compile_seconds")
     clock = np.cumsum(table["seconds"] + table["compile_seconds"])
     returns, distances, reached, courses = [], [], [], []
     for _, mine, row in run.kept_rows():
         steps, course = mine["env_steps"], mine["evaluation_return"]
         returns.append(course[row])
         distances.append(mine.get("expert_distance", course * np.nan)[row])
-        courses.append(course[np.clip(np.searchsorted(steps, times, "right") - 1, 0, None)])
+        courses.append(course[np.clip(np.searchsorted(steps, grid, "right") - 1, 0, None)])
         if expert is not None and expert > 0.0:
-            above = np.flatnonzero(course >= LEVEL * expert)
+            # A run that was killed may lack the time of its last iteration.
+            above = np.flatnonzero(course[: len(clock)] >= LEVEL * expert)
             reached.append((steps[above[0]], clock[above[0]]) if above.size else (np.inf, np.inf))
     if not returns:
         raise UserError(f"{run.directory} has kept no policy yet")

@@ -60,6 +60,13 @@ def test_the_cost_is_the_median_over_seeds(recorded: Path, tmp_path: Path) -> No
     (tmp_path / "metrics.csv").write_text(rows)
     (summary,) = compare_runs([tmp_path]).runs
     assert (summary.steps_to_90, summary.seconds_to_90) == (350.0, 8.0)
+    (tmp_path / "seconds.csv").write_text("".join(SECONDS.splitlines(keepends=True)[:2]))
+    (summary,) = compare_runs([tmp_path]).runs
+    assert summary.steps_to_90 == math.inf
+    (tmp_path / "seconds.csv").write_text("iteration,seconds\n0,1\n")
+    with pytest.raises(UserError, match="does not have the columns"):
+        compare_runs([tmp_path])
+    (tmp_path / "seconds.csv").write_text(SECONDS)
     (tmp_path / "metrics.csv").write_text("".join(rows.splitlines(keepends=True)[:5]))
     with pytest.raises(UserError, match=r"metrics.csv has no iteration \d of seed \d"):
         compare_runs([tmp_path])

@@ -21,6 +21,10 @@ def mean_of_finite(values: jax.Array) -> jax.Array:
 
 
 def in_units(values: jax.Array) -> jax.Array:
-    """Divide ``values`` by the standard deviation of those that are not NaN, unless it is 0."""
+    """Divide ``values`` by the standard deviation of those that are not NaN.
+
+    If it is rounding, the values say nothing, and the result is 0.
+    """
     std = jnp.nanstd(values)
-    return values / jnp.where(std > 0.0, std, 1.0)
+    differs = std > 1e-6 * jnp.nanmax(jnp.abs(values))
+    return jnp.where(differs | jnp.isnan(values), values / jnp.where(differs, std, 1.0), 0.0)

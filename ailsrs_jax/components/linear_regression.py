@@ -1,5 +1,7 @@
 """Behaviour cloning of a linear policy, solved exactly."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -33,6 +35,7 @@ def affine_regression(inputs: jax.Array, targets: jax.Array, mask: jax.Array) ->
     follow one another are too alike to detect overfitting. The arguments are those of
     :func:`ridge_regression`.
     """
+    matmul = functools.partial(jnp.matmul, precision="highest")
     x, y = (array.reshape(-1, array.shape[-1]) for array in (inputs, targets))
     mask = mask.ravel()
     fold = (jnp.cumsum(mask) - 1) * NUM_FOLDS // jnp.maximum(mask.sum(), 1)
@@ -41,11 +44,11 @@ def affine_regression(inputs: jax.Array, targets: jax.Array, mask: jax.Array) ->
         mean_x = jnp.mean(x, axis=0, where=mask[:, None])
         mean_y = jnp.mean(y, axis=0, where=mask[:, None])
         weights = ridge_regression(x - mean_x, y - mean_y, mask, penalty)
-        return jnp.column_stack([weights, mean_y - weights @ mean_x])
+        return jnp.column_stack([weights, mean_y - matmul(weights, mean_x)])
 
     def error(penalty: jax.Array, held_out: jax.Array) -> jax.Array:
         weights = fit(mask & (fold != held_out), penalty)
-        errors = jnp.square(x @ weights[:, :-1].T + weights[:, -1] - y)
+        errors = jnp.square(matmul(x, weights[:, :-1].T) + weights[:, -1] - y)
         return jnp.sum(errors, where=(mask & (fold == held_out))[:, None])
 
     penalties = jnp.array(PENALTIES)

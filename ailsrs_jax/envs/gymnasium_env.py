@@ -46,7 +46,7 @@ class GymnasiumEnv:
     if the environment itself does the same after the same ``reset(seed=...)``.
     """
 
-    runs_episodes = True
+    runs_episodes = runs_segments = True
     backend = "gymnasium"
 
     def __init__(
@@ -66,7 +66,7 @@ class GymnasiumEnv:
         Raises:
             UserError: it cannot be made, or does not observe and act in vectors of numbers.
         """
-        self.env_id = PREFIX + (name if isinstance(name, str) else name.__name__)
+        self.env_id = PREFIX + _name_of(name)
         number, kind = _parse_workers(workers)
         if not worker_timeout > 0:
             raise UserError(f"worker_timeout is {worker_timeout}: it must be positive")
@@ -189,6 +189,14 @@ class GymnasiumEnv:
         return episodes, jax.ShapeDtypeStruct((num_episodes, episode_length), np.float32)
 
 
+def _name_of(env: str | Callable[[], gymnasium.Env]) -> str:
+    """Return the name of an environment; a function of ``functools.partial`` has no own name."""
+    if isinstance(env, str):
+        return env
+    function = getattr(env, "func", env)
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
 def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
     """Return each of the policies, as the workers take them."""
     shapes = list(itertools.pairwise(policies.sizes))
@@ -207,7 +215,7 @@ def _perceptrons(policies: Perceptrons) -> list[Perceptron]:
 
 def _parse_workers(workers: int | str | None) -> tuple[int, Any]:
     """Return how many workers, and of which kind."""
-    where, _, number = str(workers or available_cores()).rpartition(":")
+    where, _, number = str(available_cores() if workers is None else workers).rpartition(":")
     if where not in ("", "ray") or not number.isdecimal() or int(number) < 1:
         raise UserError(f"workers is '{workers}': give a number, or ray: and a number")
     if where == "":

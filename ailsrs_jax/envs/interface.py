@@ -58,10 +58,19 @@ def require_env(env: Any) -> None:
     )
 
 
+def has_own(env: Any, ability: str) -> bool:
+    """Whether the class of ``env`` has the property ``ability``, and it is true.
+
+    Wrappers hand on what the environment in them has. But if that one runs a whole episode, it
+    does not call the ``step`` of the wrapper.
+    """
+    return hasattr(type(env), ability) and bool(getattr(env, ability))
+
+
 @functools.lru_cache(maxsize=4)
 def starts_at_observations(env: Any) -> bool:
     """Whether ``env.state_at`` can be used; if not, it logs a warning, once per environment."""
-    can = bool(getattr(env, "sets_observations", hasattr(env, "state_at")))
+    can = has_own(env, "state_at") and bool(getattr(env, "sets_observations", True))
     if not can:
         logger.warning(
             "%s cannot be put into a demonstrated state, so all episodes start with a reset; an "

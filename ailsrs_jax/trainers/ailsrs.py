@@ -26,7 +26,12 @@ from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_eval
 from ailsrs_jax.trainers.parts.policy_space import PolicySpace
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
-from ailsrs_jax.trainers.parts.settings import is_used, require_countable, validate
+from ailsrs_jax.trainers.parts.settings import (
+    is_used,
+    parse_entries,
+    require_countable,
+    validate,
+)
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
 SAMPLES_OF_A_RETURN = 250  # steps of a policy that its energy distance is estimated from
@@ -277,7 +282,11 @@ def make_ailsrs(
     settings.require_consistent()
     remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
     require_countable(remembered + settings.steps_per_iteration)
-    return Ailsrs(as_simulator(env), settings, adversary_reference(demonstrations, settings))
+    simulator, reference = as_simulator(env), adversary_reference(demonstrations, settings)
+    if is_used(settings.energy_share):
+        reference.require_comparable(settings.perturbed_length, settings.episode_length)
+    parse_entries(settings.policy_entries, reference.observations.shape[-1])
+    return Ailsrs(simulator, settings, reference)
 
 
 AILSRS = Algorithm("AILSRS", make_ailsrs, AilsrsSettings, presets.AILSRS, shares_devices=True)

@@ -54,6 +54,11 @@ def test_the_clone_has_an_intercept(
     np.testing.assert_allclose(intercept, 0.3, atol=0.05)
 
 
+def test_entries_that_are_not_there_are_refused_at_once(changed: Any) -> None:
+    with pytest.raises(UserError, match="entries 0:9 are not among the 2 of an observation"):
+        changed(policy_entries="0:9")
+
+
 def test_only_entries_that_are_seen_are_searched(changed: Any) -> None:
     trainer = changed(policy_entries="1:2", intercept=True)
     deltas = trainer.ask(jax.random.key(0))
@@ -233,6 +238,18 @@ def test_the_penalty_is_controlled_by_the_gap_of_the_scores(changed: Any) -> Non
         assert float(metrics["expert_score"]) > float(metrics["policy_score"])
         assert (float(state.adversary.penalty) > 1.0) == rises
         assert 0.29 < float(state.adversary.penalty) <= 10.0
+
+
+def test_a_controlled_penalty_decays_too(changed: Any) -> None:
+    trainer = changed(
+        score_gap=1e-6,  # so it would rise
+        gradient_penalty=10.0,
+        gradient_penalty_decay=0.3,
+        num_iterations=3,
+    )
+    state = trainer.init(jax.random.key(0)).replace(num_updates=jnp.array(1))  # half of them
+    state, _ = jax.jit(trainer.update)(state)
+    np.testing.assert_allclose(state.adversary.penalty, 10 * 0.3**0.5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("singular", [False, True])

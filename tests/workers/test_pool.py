@@ -1,5 +1,6 @@
 """Whole episodes of Gymnasium environments in worker processes."""
 
+import functools
 import importlib
 import os
 import signal
@@ -144,6 +145,7 @@ def test_what_cannot_be_put_there_is_told_once(
 def test_names_may_say_which_module_registers_them() -> None:
     env = GymnasiumEnv("tests.workers.environments:Plain-v0", workers=1)
     assert env.time_limit == 40
+    assert GymnasiumEnv(functools.partial(environments.Mass), workers=1).env_id == "gymnasium:Mass"
 
 
 def test_the_module_of_an_environment_may_be_anywhere(
@@ -180,8 +182,8 @@ def test_unknown_names_are_refused() -> None:
         GymnasiumEnv("Nix-v0")
 
 
-@pytest.mark.parametrize("workers", ["0", "-1", "two", "ray:", "ray:0", "dask:2"])
-def test_wrong_numbers_of_workers_are_refused(workers: str) -> None:
+@pytest.mark.parametrize("workers", [0, "0", "-1", "two", "ray:", "ray:0", "dask:2"])
+def test_wrong_numbers_of_workers_are_refused(workers: int | str) -> None:
     with pytest.raises(UserError, match=f"workers is '{workers}': give a number"):
         GymnasiumEnv("Pendulum-v1", workers)
 

@@ -109,7 +109,9 @@ class EpisodeRunner:
     ) -> tuple[InitialState, jax.Array, Segments, tuple[Records, Records]]:
         """Go on with S episodes for L steps each; see ``MujocoTask.run_segments``.
 
-        An episode goes on from its positions and velocities, rounded to float32.
+        An episode goes on from its positions and velocities, rounded to float32. The forces that
+        its first observation shows are those of this state; elsewhere, as in Gymnasium, they are
+        those before the last physics step.
 
         Returns:
             The states and times after the segments, the segments, and the recorded fields before

@@ -159,6 +159,11 @@ class MujocoTask(Env):
         return self.physics.name == "mujoco" and known
 
     @property
+    def runs_segments(self) -> bool:
+        """Whether :meth:`run_segments` can be called: it does not keep states of actuators."""
+        return self.runs_episodes and self.physics.model.na == 0
+
+    @property
     def sets_observations(self) -> bool:
         """Whether :meth:`state_at` knows how observations are made."""
         return not self._has_own("reset", "start", "_observation")

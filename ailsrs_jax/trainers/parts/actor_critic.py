@@ -3,9 +3,11 @@
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
 
@@ -22,7 +24,7 @@ from ailsrs_jax.trainers.parts.settings import Positive, UpToOne, require_counta
 from ailsrs_jax.trainers.parts.trainer import Metrics, Trainer
 
 HIDDEN_SIZES = (100, 100)  # tanh units of policy and value function
-FISHER_STRIDE = 5  # the curvature is estimated from every fifth sample, the gradient from all
+FISHER_STRIDE = 5  # the curvature is estimated from every fifth step, the gradient from all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,17 +208,20 @@ class TrustRegionTrainer(Trainer):
             candidates = trust_region.gaussian_log_density(actions, means, candidate.log_std)
             return jnp.mean(jnp.exp(candidates - log_density) * advantages)
 
-        def divergence(candidate: ActorParameters, stride: int = 1) -> jax.Array:
-            candidate_means = perceptron(*candidate.layers, observations[::stride])
+        def divergence(candidate: ActorParameters, rows: Any = slice(None)) -> jax.Array:
+            candidate_means = perceptron(*candidate.layers, observations[rows])
             return trust_region.gaussian_divergence(
-                means[::stride], actor.log_std, candidate_means, candidate.log_std
+                means[rows], actor.log_std, candidate_means, candidate.log_std
             ).mean()
+
+        time = np.arange(len(means)) // self.settings.num_envs  # so that all environments count
+        every_fifth = np.flatnonzero(time % FISHER_STRIDE == 0)
 
         return trust_region.trust_region_step(
             actor,
             gain,
             divergence,
-            functools.partial(divergence, stride=FISHER_STRIDE),
+            functools.partial(divergence, rows=every_fifth),
             max_divergence=self.settings.max_divergence,
             iterations=self.settings.conjugate_gradient_steps,
             damping=self.settings.conjugate_gradient_damping,

@@ -118,9 +118,10 @@ class Adversary:
         is done, from 0 to 1.
         """
         settings, lengths = self.settings, self.num_seen(self.reference.lengths)
-        penalty = settings.gradient_penalty * settings.gradient_penalty_decay**done
+        highest = settings.gradient_penalty * settings.gradient_penalty_decay**done
+        penalty = highest
         if is_used(settings.score_gap):
-            penalty = state.penalty
+            penalty = jnp.minimum(state.penalty, highest)
         batch_size = settings.discriminator_batch_size
         loss_of_pairs = _find(LOSSES, settings.discriminator_loss)
         expert_steps = self._expert_inputs()
@@ -158,8 +159,7 @@ class Adversary:
         if is_used(settings.score_gap):
             gap = metrics["expert_score"] - metrics["policy_score"]
             controlled = penalty * jnp.exp(2.0 * (gap - settings.score_gap))
-            lowest, highest = 0.03 * settings.gradient_penalty, settings.gradient_penalty
-            state = state.replace(penalty=jnp.clip(controlled, lowest, highest))
+            state = state.replace(penalty=jnp.clip(controlled, 0.03 * highest, highest))
         return state, metrics
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:

@@ -48,6 +48,26 @@ class Reference(struct.PyTreeNode):
                 "inferred only from every step in a simulator that can be put into a state"
             )
 
+    def require_comparable(self, search_length: int, episode_length: int) -> None:
+        """Raise UserError unless ``energy_share`` can judge episodes of ``search_length`` steps.
+
+        The expert's side of the distance is whole demonstrations, falls included.
+        """
+        whole, shorter = (
+            distance_horizon(self.observations, self.stride, limit)
+            for limit in (episode_length, search_length)
+        )
+        if shorter < 1:
+            raise UserError(
+                f"only every {self.stride}th step of the demonstrations is kept: search_length is "
+                f"{search_length}, energy_share needs at least {self.stride}"
+            )
+        if shorter < whole and (self.lengths < whole).any():
+            raise UserError(
+                "some demonstrations end early, so energy_share would reward early ends in "
+                f"episodes of {search_length} steps: set energy_share or search_length to 0"
+            )
+
     @property
     def alive(self) -> jax.Array:
         """``(E, T)`` bool: the step happened."""
@@ -158,7 +178,8 @@ def make_reference(
         leave_out_beyond: see :func:`unlike_the_others`; 0: no episode is left out.
 
     Raises:
-        UserError: the demonstrations are subsampled, and an episode is too short for one step.
+        UserError: the demonstrations are subsampled, and an episode is too short for one step; or
+            all of them are left out.
     """
     if leave_out_beyond > 0.0:
         with jax.ensure_compile_time_eval():  # how many are left out is a shape
@@ -167,6 +188,11 @@ def make_reference(
             unlike = unlike_the_others(whole, horizon, leave_out_beyond)
         if unlike.any():
             numbers = ", ".join(map(str, np.flatnonzero(unlike)))
+            if unlike.all():
+                raise UserError(
+                    f"leave_out_beyond is {leave_out_beyond}: no demonstration is left; make it at "
+                    "least 1"
+                )
             logger.warning("demonstrations left out, because they are unlike most: %s", numbers)
         demonstrations = jax.tree.map(lambda x: x[~unlike], demonstrations)
     observations, lengths, alive = map(

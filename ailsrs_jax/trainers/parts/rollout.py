@@ -12,6 +12,7 @@ from ailsrs_jax.components.policy import LinearPolicy, MlpPolicy, Policy, repeat
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
 from ailsrs_jax.envs.gymnasium_env import GymnasiumStart
+from ailsrs_jax.envs.interface import has_own
 from ailsrs_jax.envs.physics import InitialState, Perceptrons
 from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.episodes import Episodes, empty_episodes
@@ -131,7 +132,7 @@ def simulate(
 
     @merge_vmapped_axis
     def of_all(policies: Policy, starts: Starts, noise: jax.Array | None) -> Episodes:
-        if getattr(env, "runs_episodes", False) and isinstance(policies, LinearPolicy | MlpPolicy):
+        if has_own(env, "runs_episodes") and isinstance(policies, LinearPolicy | MlpPolicy):
             return _run_whole(env, policies, starts, noise, episode_length)
         reset = env.start if isinstance(starts, InitialState) else env.reset
         initial = jax.vmap(reset)(starts)

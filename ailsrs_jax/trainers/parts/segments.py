@@ -10,6 +10,7 @@ from flax import struct
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs import Env, State
 from ailsrs_jax.envs.divergence import has_diverged
+from ailsrs_jax.envs.interface import has_own
 from ailsrs_jax.envs.physics.base import LARGEST
 from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis, perceptrons_of
 
@@ -51,7 +52,7 @@ class Steps(struct.PyTreeNode):
 def begin(env: Any, key: jax.Array, num_envs: int, episode_length: int) -> RunningEnvs:
     """Start ``num_envs`` episodes of at most ``episode_length`` steps."""
     keys = jax.random.split(key, num_envs)
-    if getattr(env, "runs_episodes", False):
+    if has_own(env, "runs_segments"):
         env_state = env.begin_segments(jax.vmap(env.draw_start)(keys), episode_length)
     else:
         env_state = jax.vmap(env.reset)(keys)
@@ -82,7 +83,7 @@ def collect(
         return noise, jax.random.split(reset_key, num_envs)
 
     keys = jax.random.split(key, num_steps)
-    if getattr(env, "runs_episodes", False):  # outside of JAX
+    if has_own(env, "runs_segments"):  # outside of JAX
         noise, reset_keys = jax.vmap(draw)(keys)
         episodes, steps = _run_segments(env, policy, episodes, noise, reset_keys, episode_length)
         return episodes, _replace_diverged(steps)

@@ -76,6 +76,22 @@ def test_demonstrations_that_cannot_be_compared() -> None:
     demonstrations = episodes(4, seed=0)
     with pytest.raises(UserError, match=r"every 20th step .* is 10, it must be at least 20"):
         make_reference(demonstrations.subsample(20), 10, 10)
+    with pytest.raises(UserError, match=r"is 0.5: no demonstration is left; make it at least 1"):
+        make_reference(demonstrations, TIME_LIMIT, 10, leave_out_beyond=0.5)
+
+
+def test_short_episodes_are_not_compared_with_falls() -> None:
+    demonstrations = episodes(4, seed=0)
+    short = np.minimum(demonstrations.lengths, TIME_LIMIT // 2)
+    falls = make_reference(demonstrations.replace(lengths=short), TIME_LIMIT, 10)
+    falls.require_comparable(TIME_LIMIT, TIME_LIMIT)
+    with pytest.raises(UserError, match="would reward early ends in episodes of 20 steps"):
+        falls.require_comparable(20, TIME_LIMIT)
+    full = np.full(4, TIME_LIMIT)
+    make_reference(demonstrations.replace(lengths=full), TIME_LIMIT, 10).require_comparable(20, 40)
+    rare = make_reference(demonstrations.subsample(20), TIME_LIMIT, 10)
+    with pytest.raises(UserError, match=r"search_length is 10, energy_share needs at least 20"):
+        rare.require_comparable(10, TIME_LIMIT)
 
 
 def test_demonstrations_that_are_unlike_most_are_left_out(caplog: pytest.LogCaptureFixture) -> None:

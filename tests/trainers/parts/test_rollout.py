@@ -2,9 +2,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.components.policy import LinearPolicy
-from ailsrs_jax.envs.interface import action_range
+from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import simulate
@@ -44,6 +45,20 @@ def test_against_a_plain_loop(limit: int, point_mass: PointMass) -> None:
     assert int(result.env_steps) == int(result.lengths.sum())
     np.testing.assert_array_equal(result.usable.sum(axis=1), result.lengths)
     assert (int(result.lengths[1]) == limit) == (limit == 10)  # a push leaves the field after 10
+
+
+def test_a_wrapper_is_not_bypassed() -> None:
+    """It hands on what the task in it has, such as a way to run whole episodes on the C engine."""
+    task = make_env("swimmer", "mujoco")
+    low, high = action_range(task)
+    ones = jnp.ones((2, 8))
+    policies = LinearPolicy(
+        jnp.zeros((2, 2, 8)), 0 * ones, ones, jnp.stack([low] * 2), jnp.stack([high] * 2)
+    )
+    keys = jax.random.split(jax.random.key(0), 2)
+    for env, lengths in ((task, [5, 5]), (EpisodeWrapper(task, 3, 1), [3, 3])):
+        assert simulate(env, policies, keys, 5).lengths.tolist() == lengths
+    assert not starts_at_observations(EpisodeWrapper(task, 3, 1))  # its reset would be left out
 
 
 def test_vmap_is_the_same_as_one_by_one(point_mass: PointMass) -> None:

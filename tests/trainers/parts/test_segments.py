@@ -1,3 +1,4 @@
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -5,14 +6,29 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ailsrs_jax.components.policy import MlpPolicy
+from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.envs.registry import make_env
+from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.trainers.parts import segments
+from ailsrs_jax.trainers.parts.rollout import simulate
 from tests.envs.physics.test_episode_runner import Logarithm, stepped_like
 from tests.point_mass import PointMass
 from tests.workers import environments
+
+INTEGRATOR = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0"/>
+  <worldbody><body><joint name="slide" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>
+  <actuator><general joint="slide" dyntype="integrator" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+class Rewardless(MujocoTask):
+    def _reward_terms(self, before, after, action):
+        return {"reward": jnp.zeros(())}
 
 
 def some_policy(push: float, action_std: float) -> MlpPolicy:
@@ -142,6 +158,28 @@ def test_an_episode_with_a_reward_that_is_not_finite_is_left_out() -> None:
     assert 0 < int(steps.diverged.sum()) < 24
     ends = np.flatnonzero(np.asarray(steps.diverged).any(axis=1))
     assert set(ends) <= {2, 5, 6}  # no episode ends before its time
+
+
+def test_states_of_actuators_are_kept_between_batches(tmp_path: Path) -> None:
+    """The force of this actuator is the integral of the actions."""
+    path = tmp_path / "integrator.xml"
+    path.write_text(INTEGRATOR)
+    env = Rewardless(
+        physics="mujoco",
+        xml_file=str(path),
+        frame_skip=1,
+        reset_noise_scale=0.0,
+        num_hidden_positions=0,
+    )
+    policy = some_policy(1.0, 0.0)
+    episodes = segments.begin(env, jax.random.key(0), 1, 100)
+    for key in jax.random.split(jax.random.key(1), 2):
+        episodes, steps = segments.collect(env, policy, episodes, key, 20, 100)
+    start = jax.random.split(jax.random.key(0), 1)
+    whole = simulate(env, repeated(policy, 1), start, 40)
+    last = steps.observations[-1, 0]
+    assert float(last[1]) > 0.05
+    np.testing.assert_allclose(last, whole.observations[0, -1], rtol=1e-4)
 
 
 @pytest.mark.slow

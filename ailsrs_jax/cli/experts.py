@@ -119,7 +119,6 @@ def expert(
         )
     if terminal.quiet and not terminal.as_json:
         return
-    length = changes.get("episode_length", preset.episode_length)
-    evaluation = evaluate(policy, physics=physics, episode_length=length)
+    evaluation = evaluate(policy, physics=physics, episode_length=policy.episode_length)
     terminal.line(f"return {evaluation} over 100 episodes, in {output}")
     terminal.json({"output": str(output), "env_id": policy.env_id} | evaluation_fields(evaluation))

@@ -23,6 +23,7 @@ from ailsrs_jax.show.style import (
     WIDTH,
     add_legend,
     encoded,
+    legend_label,
     panels,
 )
 from ailsrs_jax.sweeps.results import SweepResults
@@ -118,6 +119,7 @@ def draw_demonstrations(groups: Sequence[Group], looks: Looks) -> Figure | None:
     series = list(split(groups, "series"))
     figure, tasks = _task_panels(groups)
     apart = min(0.12 * np.diff(numbers).min(), 0.03 * np.ptp(numbers))
+    beside = apart * (len(series) / 2 + 1)
     for axes, mine in tasks:
         draw_levels(axes, mine)
         by_series = split(sorted(mine, key=number_given), "series")
@@ -128,11 +130,12 @@ def draw_demonstrations(groups: Sequence[Group], looks: Looks) -> Figure | None:
             at = np.array([number_given(group) + shift for group in by_series[name]])
             returns = [group.values("return_mean") for group in by_series[name]]
             means, stds = np.array(list(map(mean_std, returns))).T
-            axes.errorbar(at, means, stds, label=name, **looks[name])
+            axes.errorbar(at, means, stds, label=legend_label(name), **looks[name])
             for x, each in zip(at, returns):
                 dots = {"color": looks[name]["color"], "alpha": 0.45, "markersize": 3}
                 axes.plot([x] * len(each), each, ".", **dots)
-        axes.set(xlabel="demonstrations", ylabel="return", xticks=numbers)
+        limits = numbers[0] - beside, numbers[-1] + beside
+        axes.set(xlabel="demonstrations", ylabel="return", xticks=numbers, xlim=limits)
     add_legend(figure)
     return figure
 
@@ -225,7 +228,7 @@ def draw_profiles(groups: Sequence[Group], looks: Looks) -> Figure | None:
                 color, line = looks[name]["color"], looks[name]["linestyle"]
                 band = {"color": color, "alpha": 0.18, "linewidth": 0, "step": "post"}
                 axes.fill_between(THRESHOLDS, profile.low, profile.high, **band)
-                look = {"color": color, "linestyle": line, "label": name}
+                look = {"color": color, "linestyle": line, "label": legend_label(name)}
                 axes.step(THRESHOLDS, profile.value, where="post", **look)
         axes.set(title=title, xlabel="normalised return τ", ylim=(0, 1.02))
     all_axes[0].set_ylabel("share of runs above τ")

@@ -31,6 +31,11 @@ def panels(
     return figure, dict(zip(names, axes))
 
 
+def legend_label(name: str) -> str:
+    """Return ``name`` so that Matplotlib shows it, also if it begins with an underscore."""
+    return f"\N{ZERO WIDTH SPACE}{name}" if name.startswith("_") else name
+
+
 def add_legend(figure: Figure, title: str | None = None) -> None:
     """Add one legend above all panels, with each label once."""
     handles: dict[str, Any] = {}

@@ -4,7 +4,7 @@ from pathlib import Path
 import matplotlib.image
 from matplotlib.figure import Figure
 
-from ailsrs_jax.show.figures import draw_figures, draw_levels
+from ailsrs_jax.show.figures import draw_figures, draw_levels, draw_profiles, looks_of
 from ailsrs_jax.show.sweep_report import report_sweep, results_table, timings_table
 from ailsrs_jax.sweeps.results import read_results
 from ailsrs_jax.sweeps.statistics import group_cells
@@ -66,6 +66,16 @@ def test_names_from_files_are_only_text(tmp_path: Path) -> None:
         assert r"Hopper-v5\\n\# \<h1\>" in table
         assert label not in table
     assert r"| broken | failed: \<i\> |" in results_table(results)
+
+
+def test_names_that_begin_with_an_underscore_have_a_legend(tmp_path: Path) -> None:
+    rows = [row(0.9, seed=seed, label="_mine", num_trajectories=10) for seed in (0, 1)]
+    write_sweep(tmp_path, rows)
+    report_sweep(tmp_path)
+    groups = group_cells(read_results(tmp_path).cells)
+    figure = draw_profiles(groups, looks_of(groups))
+    assert figure is not None
+    assert "_mine" in figure.legends[0].get_texts()[0].get_text()
 
 
 def test_steps_to_a_share_of_the_expert_are_medians_over_seeds(tmp_path: Path) -> None:

@@ -32,8 +32,11 @@ static void policy_act(const double *observation, double *action) {
     policy_layer(policy_weights_{{ loop.index0 }}, policy_biases_{{ loop.index0 }}, {{ sizes[loop.index0] }}, {{ num_out }}, {{ loop.first | int }}, x, y);
     for (int i = 0; i < {{ num_out }}; i++) x[i] = y[i];
 {% endfor %}
-    for (int i = 0; i < POLICY_NUM_ACTIONS; i++)
-        action[i] = fmin(fmax(x[i], policy_action_low[i]), policy_action_high[i]);
+    for (int i = 0; i < POLICY_NUM_ACTIONS; i++) { /* fmin and fmax would hide NaN */
+        action[i] = x[i];
+        if (action[i] < policy_action_low[i]) action[i] = policy_action_low[i];
+        if (action[i] > policy_action_high[i]) action[i] = policy_action_high[i];
+    }
 }
 
 #endif

@@ -1,5 +1,6 @@
 """Train an expert on the environment's reward: a neural policy by Brax, or a linear one."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ailsrs_jax.files import require_writable
 from ailsrs_jax.runs.devices import choose_simulator, compiler_options, set_up_jax
 from ailsrs_jax.runs.experts.evolution import EvolutionSettings, train_by_evolution
 from ailsrs_jax.runs.experts.ppo import PPO_PRESETS, PpoSettings, train_ppo
+from ailsrs_jax.runs.horizon import env_horizon
 from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.storage.config import require_seed
 from ailsrs_jax.runs.storage.metrics import IterationReport
@@ -57,7 +59,8 @@ def train_expert(
         output: a policy file, written whenever a better policy is found; ``es`` writes it once, in
             the end. Without it nothing is written.
         watch: called after every iteration.
-        settings: changed fields of :class:`~ailsrs_jax.runs.experts.ppo.PpoSettings`,
+        settings: changed fields of the preset, which has the time limit of the environment:
+            :class:`~ailsrs_jax.runs.experts.ppo.PpoSettings`,
             :class:`~ailsrs_jax.runs.experts.evolution.EvolutionSettings` or
             :class:`~ailsrs_jax.trainers.ars.ArsSettings`.
 
@@ -69,7 +72,8 @@ def train_expert(
     """
     set_up_jax()
     task = open_env(env, physics)
-    chosen = override(expert_settings(algorithm, task.env_id), settings)
+    limit = {"episode_length": env_horizon(task.env)}
+    chosen = override(expert_settings(algorithm, task.env_id), limit | settings)
     require_seed(seed)
     if algorithm != "ars" and not hasattr(task.env, "step"):
         raise UserError(
@@ -86,7 +90,8 @@ def train_expert(
     def offer(policy: Policy, score: float) -> None:
         nonlocal best, best_score
         if score > best_score:  # false if the score is NaN
-            best, best_score = saved_policy(policy, task.env_id), score
+            saved, best_score = saved_policy(policy, task.env_id), score
+            best = dataclasses.replace(saved, episode_length=chosen.episode_length)
             if path is not None:  # at once, so that an interruption does not lose it
                 best.save(path)
 

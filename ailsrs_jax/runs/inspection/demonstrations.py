@@ -50,7 +50,8 @@ def inspect_demonstrations(demonstrations: Demonstrations, env: Env) -> Inspecti
         "sets_states": starts_at_observations(env),
     }
     problems = _problems(demonstrations)
-    every_step = facts["sets_states"] and demonstrations.stride == 1
+    has_pairs = demonstrations.stride == 1 and bool(np.any(demonstrations.lengths > 1))
+    every_step = facts["sets_states"] and has_pairs
     facts["actions_inferred"] = every_step and demonstrations.actions is None
     if facts["actions_inferred"]:
         demonstrations = infer_actions(demonstrations, env)

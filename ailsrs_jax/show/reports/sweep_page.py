@@ -119,9 +119,15 @@ def comparison_page(
     The table has a row for each run, and ``note`` says what its columns mean.
     """
     colors = colors_of(runs)
-    experts = [e for run in runs.values() if (e := run.comparable_expert_return) is not None]
+    experts: dict[float, list[str]] = {}
+    for name, run in runs.items():
+        if (expert := run.comparable_expert_return) is not None:
+            experts.setdefault(expert, []).append(name)
     levels = {
-        "evaluation_return": {"expert": max(experts)} if experts else {},
+        "evaluation_return": {
+            "expert" if len(experts) == 1 else f"expert of {', '.join(names)}": expert
+            for expert, names in experts.items()
+        },
         "expert_distance": {"close to the expert": CLOSE},
     }
     panels = []

@@ -44,7 +44,9 @@ def test_the_c_function_acts_as_numpy(kind: str, in_tmp_path: Path) -> None:
     assert list((ctypes.c_int * 2).in_dll(library, "sizes")) == [11, 3]
     assert not hasattr(library, "injected")
     numbers = ctypes.POINTER(ctypes.c_double)
-    for observation in np.random.default_rng(1).normal(scale=3.0, size=(50, 11)):
+    observations = np.random.default_rng(1).normal(scale=3.0, size=(50, 11))
+    observations[0, 3] = np.nan  # a broken sensor must not look like an action
+    for observation in observations:
         action = np.empty(3)
         library.act(observation.ctypes.data_as(numbers), action.ctypes.data_as(numbers))
         np.testing.assert_allclose(action, policy(observation), rtol=1e-12, atol=1e-12)

@@ -118,6 +118,15 @@ def test_ppo_lives_with_episodes_that_diverge() -> None:
         ail.train_expert(ExplodingPointMass(1.0), **settings)
 
 
+def test_the_environment_says_how_long_episodes_are() -> None:
+    few = {"num_iterations": 1, "num_directions": 1, "num_top_directions": 1}
+    expert = ail.train_expert(
+        "gymnasium:Pendulum-v1", algorithm="ars", num_evaluation_episodes=1, **few
+    )
+    assert expert.episode_length == 200
+    assert ail.demonstrate(expert, 1).lengths.tolist() == [200]
+
+
 def test_mistakes() -> None:
     with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use one of ppo, es, ars"):
         ail.train_expert(PointMass(), algorithm="sac")

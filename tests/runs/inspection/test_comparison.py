@@ -11,6 +11,8 @@ import pytest
 from ailsrs_jax.cli.main import main
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.inspection.comparison import POINTS, compare_runs
+from ailsrs_jax.runs.storage.saved_run import read_run
+from ailsrs_jax.show.reports.sweep_page import comparison_page
 from tests.runs.toy_run import SEEDS
 from tests.show.reports.test_report import write_run
 
@@ -82,6 +84,20 @@ def test_an_expert_of_other_episodes_is_not_compared(recorded: Path, tmp_path: P
     assert summary.expert_return is summary.steps_to_90 is summary.seconds_to_90 is None
     with pytest.raises(UserError, match="name the directories"):
         compare_runs([])
+
+
+def test_each_expert_has_a_line(recorded: Path, tmp_path: Path) -> None:
+    for path in recorded.glob("*.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "result.json").write_text(
+        (recorded / "result.json").read_text().replace("10.0", "20.0")
+    )
+    first, second = read_run(recorded), read_run(tmp_path)
+    for runs, levels in (
+        ({"a": first, "b": first}, {"expert": 10.0}),
+        ({"a": first, "b": first, "c": second}, {"expert of a, b": 10.0, "expert of c": 20.0}),
+    ):
+        assert comparison_page(runs, [], [], "").parts[1].panels[0].levels == levels
 
 
 def test_the_command(recorded: Path, monkeypatch: Any, capsys: Any) -> None:

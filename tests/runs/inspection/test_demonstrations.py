@@ -97,6 +97,16 @@ def test_an_expert_that_stands_still_in_the_end_is_no_division_by_zero() -> None
     assert -2.0 < _linearity(resting)["r_squared"] < 0.5
 
 
+def test_a_single_step_of_each_episode_is_not_simulated_again(
+    env: Env, demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ailsrs_jax.runs.inspection.demonstrations._clones", lambda *_: {})
+    single = demonstrations.replace(lengths=np.ones(2, np.int32))
+    facts = inspect_demonstrations(single, env).facts
+    assert facts["longest"] == 1
+    assert "difference_to_simulation" not in facts
+
+
 def test_states_alone_and_clones(
     env: Env, demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch
 ) -> None:

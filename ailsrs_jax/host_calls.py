@@ -19,8 +19,9 @@ class Interrupted(Exception):  # noqa: N818  (not an error)
     """A function on the host has ended early, without a result."""
 
 
-_stop: Callable[[], bool] | None = None
-_problems: list[list[Exception]] = []  # one list for each block of host_errors
+# Of each block in any thread: a function on the host does not know which block it belongs to.
+_stops: list[Callable[[], bool]] = []
+_problems: list[list[Exception]] = []
 
 
 def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
@@ -35,7 +36,8 @@ def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
         except Exception as error:
             if not _problems:
                 raise
-            _problems[-1].append(error)
+            for problems in _problems:
+                problems.append(error)
             return zeros(types)
 
     return jax.pure_callback(call, types, *arguments)
@@ -54,8 +56,7 @@ def host_errors() -> Iterator[None]:
     try:
         yield
     finally:
-        # By identity: lists of two blocks that are both empty are equal.
-        _problems[:] = [each for each in _problems if each is not problems]
+        _remove(_problems, problems)
     if problems:
         raise problems[0]
 
@@ -63,14 +64,18 @@ def host_errors() -> Iterator[None]:
 @contextlib.contextmanager
 def interruptible(stop: Callable[[], bool]) -> Iterator[None]:
     """Let host functions end early while ``stop`` returns true."""
-    global _stop
-    previous, _stop = _stop, stop
+    _stops.append(stop)
     try:
         yield
     finally:
-        _stop = previous
+        _remove(_stops, stop)
 
 
 def interrupted() -> bool:
     """Whether somebody has asked for a stop."""
-    return _stop is not None and _stop()
+    return any(stop() for stop in _stops)
+
+
+def _remove(those: list[Any], one: Any) -> None:
+    """Remove ``one`` itself: two empty lists of problems are equal."""
+    those[:] = [each for each in those if each is not one]

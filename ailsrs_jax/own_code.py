@@ -49,6 +49,12 @@ def require_allowed(name: str, source: str, option: str = "--env") -> None:
         )
 
 
+def search_here() -> None:
+    """Look for modules in the current directory first, as ``python -m`` does."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+
+
 def load_own(name: str) -> Any:
     """Import ``module:attribute``; modules are looked for in the current directory first.
 
@@ -56,8 +62,7 @@ def load_own(name: str) -> Any:
         UserError: the module cannot be imported, or has no such attribute.
     """
     module_name, _, attribute = name.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # as ``python -m`` does
+    search_here()
     try:
         module = importlib.import_module(module_name)
     except Exception as error:  # the code of others may raise anything

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import cloudpickle
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from flax import struct
 from ailsrs_jax.envs.physics import Perceptrons, Segments, Trajectories
 from ailsrs_jax.envs.physics.base import segment_types, trajectory_types
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.host_calls import host_call, zeros
 from ailsrs_jax.workers.episode import Perceptron, Request
 from ailsrs_jax.workers.pool import Pool
@@ -67,6 +68,8 @@ class GymnasiumEnv:
             UserError: it cannot be made, or does not observe and act in vectors of numbers.
         """
         self.env_id = PREFIX + _name_of(name)
+        with refusing(f"{self.env_id} cannot be sent to a worker"):
+            cloudpickle.dumps(name)
         number, kind = _parse_workers(workers)
         if not worker_timeout > 0:
             raise UserError(f"worker_timeout is {worker_timeout}: it must be positive")

@@ -120,7 +120,8 @@ def open_env(
         name = env.removeprefix(PREFIX) if isinstance(env, str) else env
         timeout = WORKER_TIMEOUT if worker_timeout is None else worker_timeout
         is_made = isinstance(name, GymnasiumEnv)
-        made: Any = name if is_made else _make_gymnasium(name, workers, timeout)
+        make = GymnasiumEnv if type(name).__hash__ is None else _make_gymnasium
+        made: Any = name if is_made else make(name, workers, timeout)
         return OpenEnv(made, made.env_id, made.backend, "whole episodes in worker processes")
     for option, given in (("workers", workers), ("worker_timeout", worker_timeout)):
         if given is not None:

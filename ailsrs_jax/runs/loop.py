@@ -7,7 +7,7 @@ they are trained.
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Literal
@@ -212,46 +212,59 @@ def execute(
                 for run in runs:
                     run.save(progress)
 
-        if jax.process_count() == 1:  # others would wait for this one
+        is_alone = jax.process_count() == 1  # other processes would wait for this one
+        if is_alone:
             stack.enter_context(interruptible(stop))
-        try:
-            for state, report in iterate(
-                update,
-                progress["state"],
-                np.asarray(progress["steps"]),
-                num_done,
-                plans[0].config.settings.num_iterations,
-                arguments,
-                place=place,
-                compiler_options=compiler_options(plans[0].simulator.env),
-            ):
-                stopping = anywhere(stop()) and not report.is_last
-                going = [run for run in runs if not run.is_finished(progress)]
-                for run in going:
-                    run.problem = run.problem or run.part_of(report).divergence
-                failed = all(run.problem is not None for run in runs)
-                num_done = report.iteration
-                if not failed:
-                    num_done += 1
-                    progress = {"state": state, "steps": report.metrics["env_steps"]}
-                if saver is not None:
-                    save = failed or stopping or report.is_last or saver.is_due(num_done)
-                    with together():
-                        began = time.monotonic()
-                        for run in going:
-                            run.append(report, progress, to_disk=save)
-                        if save:
-                            save_all()
-                            saver.rest(began)
-                if failed:
-                    break
-                if watch is not None:
-                    watch(report)
-                if stopping:
-                    raise KeyboardInterrupt
-        except Interrupted:
-            save_all()
-            raise KeyboardInterrupt from None
+
+        def iterations() -> Iterator[tuple[Any, IterationReport]]:
+            """Iterate; if an iteration is interrupted or fails, save the state before it."""
+            try:
+                yield from iterate(
+                    update,
+                    progress["state"],
+                    np.asarray(progress["steps"]),
+                    num_done,
+                    plans[0].config.settings.num_iterations,
+                    arguments,
+                    place=place,
+                    compiler_options=compiler_options(plans[0].simulator.env),
+                )
+            except Interrupted:
+                save_all()
+                raise KeyboardInterrupt from None
+            except Exception:
+                if is_alone:
+                    save_all()
+                raise
+
+        for state, report in iterations():
+            stopping = anywhere(stop()) and not report.is_last
+            going = [run for run in runs if not run.is_finished(progress)]
+            for run in going:
+                run.problem = run.problem or run.part_of(report).divergence
+            failed = all(run.problem is not None for run in runs)
+            num_done = report.iteration
+            if not failed:
+                num_done += 1
+                progress = {"state": state, "steps": report.metrics["env_steps"]}
+            over = all(run.problem or run.is_finished(progress) for run in runs)
+            if saver is not None:
+                save = over or stopping or saver.is_due(num_done)
+                with together():
+                    began = time.monotonic()
+                    for run in going:
+                        run.append(report, progress, to_disk=save)
+                    if save:
+                        save_all()
+                        saver.rest(began)
+            if failed:
+                break
+            if watch is not None:
+                watch(report)
+            if stopping:
+                raise KeyboardInterrupt
+            if over:
+                break
 
         if not is_stack and runs[0].problem is not None:
             raise runs[0].problem

@@ -1,6 +1,8 @@
 """The plan of a run: a specification that is checked and ready to start."""
 
 import dataclasses
+import operator
+from typing import Any
 
 import jax
 import numpy as np
@@ -8,7 +10,7 @@ import numpy as np
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs.physics import ENGINES
 from ailsrs_jax.envs.registry import TASKS, open_env, short_name, takes_physics
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.runs.devices import choose_simulator, set_up_jax
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.config import RunConfig, require_seed
@@ -61,10 +63,10 @@ def plan(spec: RunSpec) -> Plan:
         UserError: something is wrong.
     """
     set_up_jax()
+    spec = _with_whole_numbers(spec)
     env, env_id, engine, reason = open_env(
         spec.env, spec.physics, spec.workers, spec.worker_timeout
     )
-    seeds = _checked_seeds(spec)
     algorithm = find_algorithm(spec.algorithm)
     batch_size = spec.rollout_batch_size
     if batch_size is not None and batch_size < 1:
@@ -89,7 +91,7 @@ def plan(spec: RunSpec) -> Plan:
     config = RunConfig(
         env_id=env_id,
         physics=engine,
-        seeds=seeds,
+        seeds=tuple(spec.seeds),
         algorithm=spec.algorithm,
         preset=spec.preset,
         settings=settings,
@@ -102,13 +104,20 @@ def plan(spec: RunSpec) -> Plan:
     return Plan(_resolved(spec, config, limit), config, simulator, data, reason)
 
 
-def _checked_seeds(spec: RunSpec) -> tuple[int, ...]:
-    seeds = tuple(int(seed) for seed in spec.seeds)
+def _with_whole_numbers(spec: RunSpec) -> RunSpec:
+    """Return ``spec`` with Python's own integers, after checking the seeds."""
+    with refusing("seeds are not a list of whole numbers"):
+        seeds = [operator.index(seed) for seed in spec.seeds]
     if not seeds or len(set(seeds)) < len(seeds):
-        raise UserError(f"seeds are {list(seeds)}: give one or more different seeds")
+        raise UserError(f"seeds are {seeds}: give one or more different seeds")
     for seed in seeds:
         require_seed(seed)
-    return seeds
+    numbers: dict[str, Any] = {}
+    for name in ("num_trajectories", "draw_from", "subsample", "rollout_batch_size"):
+        if (value := getattr(spec, name)) is not None:
+            with refusing(f"{name} is {value!r}, not a whole number"):
+                numbers[name] = operator.index(value)
+    return dataclasses.replace(spec, seeds=seeds, **numbers)
 
 
 def _resolved(spec: RunSpec, config: RunConfig, default_length: int) -> RunSpec:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Tuple
 from gymnasium.wrappers import FlattenObservation
 
-from ailsrs_jax.own_code import load_own
+from ailsrs_jax.own_code import is_own, load_own, search_here
 
 LARGEST = 1e10  # beyond this, as in MuJoCo, a simulation counts as diverged
 
@@ -74,6 +74,8 @@ def make(name: str | Callable[[], gymnasium.Env], render_mode: str | None = None
         TypeError: observations or actions are not of a kind that our policies can handle.
     """
     if isinstance(name, str):
+        if is_own(name):
+            search_here()
         options = {"render_mode": render_mode} if render_mode else {}  # not every one has it
         env = gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
     else:

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -27,19 +28,19 @@ class ProcessWorker:
             log: receives what the environment prints.
         """
         ours, theirs = socket.socketpair()
-        path = os.pathsep.join((str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")))
+        path = filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")))
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "ailsrs_jax.workers.worker", str(theirs.fileno())],
+                [sys.executable, "-P", "-m", "ailsrs_jax.workers.worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 start_new_session=True,  # Ctrl-C is for the program that started it
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(path)},
             )
         self._connection = Connection(ours.detach())
-        self.send(["", *sys.path])
+        self.send(sys.path)
         self.send(name)
 
     def send(self, request: Any) -> None:
@@ -55,8 +56,9 @@ class ProcessWorker:
             return None
 
     def kill(self) -> None:
-        """End the process at once."""
-        self._process.kill()
+        """End the process at once, and the processes that the environment has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._connection.close()
 

@@ -6,6 +6,7 @@ closed, also in the middle of an episode, so that it does not outlive the progra
 
 import os
 import queue
+import signal
 import sys
 import threading
 import traceback
@@ -47,7 +48,7 @@ def serve(connection: Connection) -> None:
             while True:
                 requests.put(connection.recv_bytes())
         finally:
-            os._exit(0)
+            os.killpg(0, signal.SIGKILL)  # this process, and those that the environment has started
 
     def load() -> Any:
         return cloudpickle.loads(requests.get())

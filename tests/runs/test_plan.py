@@ -97,6 +97,26 @@ def test_the_shipped_expert_is_a_source(
     assert made.config.num_trajectories == NUM_TRAJECTORIES
 
 
+@pytest.mark.parametrize(
+    ("argument", "problem"),
+    [
+        ({"seeds": [0.5]}, "seeds are not a list of whole numbers"),
+        ({"seeds": 3}, "seeds are not a list of whole numbers"),
+        ({"num_trajectories": 2.5}, "num_trajectories is 2.5, not a whole number"),
+        ({"subsample": "4"}, "subsample is '4', not a whole number"),
+    ],
+)
+def test_numbers_are_whole(argument: dict[str, Any], problem: str) -> None:
+    with pytest.raises(UserError, match=problem):
+        plan(RunSpec("hopper", **argument))
+
+
+def test_numbers_may_be_numpys(point_mass: PointMass, point_mass_expert: Demonstrations) -> None:
+    numbers = {"seeds": np.arange(2), "num_trajectories": np.int64(2)}
+    made = plan(RunSpec(point_mass, point_mass_expert, **numbers))
+    assert made.config.as_json()["seeds"] == [0, 1]
+
+
 def test_a_seed_can_draw_its_own_episodes(
     point_mass: PointMass, point_mass_expert: Demonstrations
 ) -> None:

@@ -1,8 +1,10 @@
 import csv
 import dataclasses
+import itertools
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,8 @@ from ailsrs_jax.data.demonstrations import Demonstrations, save_demonstrations
 from ailsrs_jax.data.policies import load_policy
 from ailsrs_jax.data.sources import Source
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs import run
+from ailsrs_jax.runs import loop, run
+from ailsrs_jax.runs.iterations import iterate
 from ailsrs_jax.runs.plan import Plan, plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.storage.config import read_config
@@ -98,6 +101,29 @@ def test_directory_holds_what_is_promised(finished: tuple[Path, Result]) -> None
             np.testing.assert_array_equal(same.weights, policy.weights)
     assert result.expert_returns is not None
     assert result.expert_returns.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_the_last_whole_iteration_is_saved_when_the_environment_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*arguments: Any, **options: Any) -> Iterator[Any]:
+        yield from itertools.islice(iterate(*arguments, **options), 5)
+        raise UserError("the simulator is gone")
+
+    monkeypatch.setattr(loop, "iterate", failing)
+    with pytest.raises(UserError, match="the simulator is gone"):
+        toy_run.run(toy_plan(), tmp_path / "run")
+    monkeypatch.undo()
+    assert (tmp_path / "run" / "checkpoints" / "5").exists()
+    assert len(read_rows(tmp_path / "run")) == 2 * 5
+
+
+def test_a_folder_that_looks_like_a_partial_file_stays(tmp_path: Path) -> None:
+    (tmp_path / ".a.partial").mkdir()
+    (tmp_path / ".b.partial").touch()
+    with claimed(tmp_path, toy_plan().config, resume=False):
+        assert (tmp_path / ".a.partial").is_dir()
+        assert not (tmp_path / ".b.partial").exists()
 
 
 def test_interrupted_and_resumed_is_bitwise_the_same(

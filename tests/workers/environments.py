@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import subprocess
 import time
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,14 @@ class Mass(gymnasium.Env):
         self.state = np.array([position, velocity])
         reward = 1.0 - min(position**2, 1.0)
         return self.state.copy(), reward, abs(position) > 3, False, {}
+
+
+class Spawning(Mass):
+    """Starts a process, whose number it writes to a file, as simulators do that are programs."""
+
+    def __init__(self) -> None:
+        process = subprocess.Popen(["sleep", "300"])
+        Path(os.environ["SPAWNED"]).write_text(str(process.pid))
 
 
 class Named(Mass):

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from ailsrs_jax.errors import UserError
 from ailsrs_jax.host_calls import Interrupted, host_errors, interruptible
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.workers.process import ProcessWorker
 from tests.workers import environments
 
 GAIN = np.array([[-1.0, -1.5]], np.float32)
@@ -180,6 +182,46 @@ def test_what_is_no_vector_is_refused(name: str, problem: str) -> None:
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(UserError, match=r"gymnasium:Nix-v0: NameNotFound.* the traceback is in "):
         GymnasiumEnv("Nix-v0")
+
+
+def test_files_of_the_current_directory_are_not_imported(
+    in_tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They may come from a stranger, and nobody has named them."""
+    for module in ("queue", "pygame", "mujoco"):
+        Path(f"{module}.py").write_text("open('imported', 'w').close()")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    assert GymnasiumEnv("Pendulum-v1", workers=1).observation_size == 3
+    assert not Path("imported").exists()
+
+
+def test_what_the_environment_has_started_ends_with_the_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPAWNED", str(tmp_path / "pid"))
+    with (tmp_path / "log").open("wb") as log:
+        worker = ProcessWorker(make("Spawning"), log)
+    assert worker.answer().observation_size == 2
+    status = Path("/proc", (tmp_path / "pid").read_text(), "stat")
+    assert status.exists()
+    worker.kill()
+    deadline = time.monotonic() + 10
+    while status.exists() and " Z " not in status.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_a_function_that_cannot_be_sent_is_refused() -> None:
+    lock = threading.Lock()
+
+    def locked() -> Any:
+        with lock:
+            return environments.Mass()
+
+    with pytest.raises(
+        UserError, match="locked cannot be sent to a worker: TypeError: cannot pick"
+    ):
+        GymnasiumEnv(locked)
 
 
 @pytest.mark.parametrize("workers", [0, "0", "-1", "two", "ray:", "ray:0", "dask:2"])

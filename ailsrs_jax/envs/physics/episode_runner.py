@@ -64,7 +64,7 @@ class EpisodeRunner:
             episode_loop.mujoco_function, ("mj_step", "mj_rnePostConstraint")
         )
         self._own = threading.local()
-        self._threads = ThreadPoolExecutor(num_threads, initializer=self._set_up_thread)
+        self._threads = ThreadPoolExecutor(num_threads)
 
     def run_episodes(
         self,
@@ -209,6 +209,9 @@ class EpisodeRunner:
         waiting = iter(range(number))
 
         def run_some() -> None:
+            # As an initializer of the threads, it would keep this object as long as they live.
+            if not hasattr(self._own, "data"):
+                self._set_up_thread()
             for i in itertools.takewhile(lambda _: not stop[0], waiting):
                 run_one(i, stop)
 

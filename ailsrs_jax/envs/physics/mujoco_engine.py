@@ -53,7 +53,7 @@ class MujocoPhysics:
             # in its mjData.
             self._state_spec |= mujoco.mjtState.mjSTATE_WARMSTART.value
             self._own = threading.local()  # each thread's mjData and its fields
-            self._threads = ThreadPoolExecutor(self._num_threads, initializer=self._set_up_thread)
+            self._threads = ThreadPoolExecutor(self._num_threads)
         else:
             self._data = [mujoco.MjData(model) for _ in range(self._num_threads)]
             self._rollout = mujoco.rollout.Rollout(nthread=self._num_threads)
@@ -172,6 +172,9 @@ class MujocoPhysics:
         waiting = iter(rows)
 
         def run(_: int) -> None:
+            # As an initializer of the threads, it would keep this object as long as they live.
+            if not hasattr(self._own, "data"):
+                self._set_up_thread()
             data, fields = self._own.data, self._own.fields
             for row in waiting:
                 simulate(data, row)

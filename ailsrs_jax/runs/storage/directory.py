@@ -50,8 +50,10 @@ def claimed(
         if not resume:
             _require_empty(path)
             config.save(config_path)
-        for partial in path.rglob(f".*{PARTIAL}"):  # left by killed processes
-            partial.unlink()
+        with os_errors(f"cannot write {path}"):
+            for partial in path.rglob(f".*{PARTIAL}"):  # left by killed processes
+                if not partial.is_dir():
+                    partial.unlink(missing_ok=True)
         yield
 
 

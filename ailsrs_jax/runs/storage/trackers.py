@@ -95,6 +95,8 @@ class Tracker:
 def _abouts(directory: Path) -> list[About]:
     """Describe each seed of the run in ``directory``."""
     id_path = directory / ID_FILE
+    if id_path.is_symlink() or (id_path.exists() and not id_path.is_file()):
+        raise UserError(f"{id_path} is not a file of this program")
     run_id = id_path.read_text().strip() if id_path.exists() else ""
     if not re.fullmatch("[0-9a-f]{12}", run_id):
         run_id = secrets.token_hex(6)

@@ -53,7 +53,7 @@ def require_renderer() -> None:
 
 def _renders(name: str) -> bool:
     """Return whether a process with MUJOCO_GL set to ``name`` can render."""
-    command, environment = [sys.executable, "-c", TRIAL], os.environ | {"MUJOCO_GL": name}
+    command, environment = [sys.executable, "-P", "-c", TRIAL], os.environ | {"MUJOCO_GL": name}
     try:
         subprocess.run(command, env=environment, check=True, capture_output=True, timeout=120)
     except (subprocess.SubprocessError, OSError):

@@ -1,7 +1,10 @@
 """Whole episodes on the C engine, against Gymnasium's own environments and the stepped tasks."""
 
+import gc
 import itertools
+import threading
 import time
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +160,28 @@ def test_a_reward_that_is_not_finite_is_divergence() -> None:
     for name in ("lengths", "diverged"):
         np.testing.assert_array_equal(getattr(episodes, name), getattr(stepped, name))
     np.testing.assert_allclose(episodes.env_rewards, stepped.env_rewards, atol=1e-3)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_nothing_is_left_of_an_environment(whole: bool) -> None:
+    """Its threads used to keep it, one for each core and environment."""
+
+    def played() -> weakref.ref[Any]:
+        env: Any = TASKS["Ant-v5"]("mujoco")
+        env = env if whole else stepped_like(env)
+        still = LinearPolicy(jnp.zeros((8, 105)), jnp.zeros(105), jnp.ones(105), *action_range(env))
+        keys = jax.random.split(jax.random.key(0), 2)
+        jax.block_until_ready(jax.jit(lambda: simulate(env, repeated(still, 2), keys, 3))())
+        return weakref.ref(env._episode_runner if whole else env.physics)
+
+    left, threads = played(), threading.active_count()
+    jax.clear_caches()
+    gc.collect()
+    assert left() is None
+    deadline = time.monotonic() + 5
+    while threading.active_count() >= threads:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_it_ends_within_a_second_when_somebody_asks() -> None:

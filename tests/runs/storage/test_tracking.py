@@ -250,6 +250,19 @@ def test_an_error_of_a_tracker_is_one_warning(
     assert capsys.readouterr().out == ""
 
 
+def test_a_link_is_not_written_through(
+    library: Path, resumed: Path, tmp_path: Path, caplog
+) -> None:
+    run = shutil.copytree(resumed, tmp_path / "run")
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    (run / trackers.ID_FILE).unlink()
+    (run / trackers.ID_FILE).symlink_to(precious)
+    Tracker("trackio", run).close()
+    assert "is not a file of this program" in caplog.text
+    assert precious.read_text() == "mine"
+
+
 def test_a_tracker_that_cannot_be_is_refused_before_anything_is_written(
     plan: Plan, in_tmp_path: Path, monkeypatch
 ) -> None:

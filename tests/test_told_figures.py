@@ -111,7 +111,8 @@ def test_the_readme_agrees_with_the_results_of_linear_experts() -> None:
         "AILSRS, a linear policy": "AILSRS",
         "GAIL, a network": "GAIL",
         "a neural clone": "neural BC",
-        "a linear clone": "BC",
+        "a linear clone": "linear clone",
+        "a linear clone without an intercept": "BC",
     }
     seeds = dict.fromkeys((CHEETAH, HOPPER, SWIMMER), range(5))
     for name, label in names.items():

@@ -6,6 +6,7 @@ and raise another in its place. So these functions ask :func:`interrupted` now a
 """
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -22,6 +23,7 @@ class Interrupted(Exception):  # noqa: N818  (not an error)
 # Of each block in any thread: a function on the host does not know which block it belongs to.
 _stops: list[Callable[[], bool]] = []
 _problems: list[list[Exception]] = []
+_turn = threading.RLock()
 
 
 def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
@@ -50,13 +52,17 @@ def zeros(types: Any) -> Any:
 
 @contextlib.contextmanager
 def host_errors() -> Iterator[None]:
-    """Raise the first exception of host functions in the block, which waits for their results."""
+    """Raise the first exception of host functions in the block, which waits for their results.
+
+    Blocks of two threads take turns, so that a failure reaches its own.
+    """
     problems: list[Exception] = []
-    _problems.append(problems)
-    try:
-        yield
-    finally:
-        _remove(_problems, problems)
+    with _turn:
+        _problems.append(problems)
+        try:
+            yield
+        finally:
+            _remove(_problems, problems)
     if problems:
         raise problems[0]
 

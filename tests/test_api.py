@@ -5,6 +5,7 @@ import doctest
 import inspect
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,20 @@ def test_examples_of_docstrings(name: str, in_tmp_path: Path) -> None:
 
 def test_nothing_else_has_an_example() -> None:
     assert not [name for name in WITHOUT_EXAMPLE if examples(name)]
+
+
+@pytest.mark.parametrize(
+    ("call", "problem"),
+    [
+        (lambda: ailsrs_jax.evaluate("policy.npz", 2), "no policy: 'policy.npz'; load_policy"),
+        (lambda: ailsrs_jax.evaluate(ailsrs_jax.load_expert("swimmer"), 2.0), "2.0 episodes asked"),
+        (lambda: ailsrs_jax.train("swimmer", algorithm=3), "name the algorithm"),
+        (lambda: ailsrs_jax.train("swimmer", states_only="no"), "must be True or False"),
+    ],
+)
+def test_wrong_arguments_are_one_line(call: Callable[[], object], problem: str) -> None:
+    with pytest.raises(ailsrs_jax.UserError, match=problem):
+        call()
 
 
 @pytest.mark.parametrize("name", ailsrs_jax.__all__)

@@ -85,7 +85,7 @@ def sweep_results(name: str) -> Path:
         "preset": "tuned",
         "physics": "mujoco",
     }
-    for file in ("results.csv", "curves.csv"):
+    for file in COLUMNS:
         with (directory / file).open("w") as stream:
             writer = csv.DictWriter(stream, COLUMNS[file], extrasaction="ignore")
             writer.writeheader()
@@ -169,6 +169,13 @@ def test_no_name_in_a_file_is_imported(
         READERS[reader](name)
     assert not trap.exists(), trap.read_text()
     assert not [x for x in sys.modules if "evil" in x or "f2py.__main__" in x]
+
+
+def test_the_report_of_a_sweep_is_read_to_its_end(trap: Path) -> None:
+    """Otherwise the names in its tables would not have been looked at."""
+    show.report(sweep_results("theirs.evil:Task"))
+    assert "theirs.evil:Task" in Path("theirs_sweep/report.html").read_text()
+    assert not trap.exists()
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import functools
 import logging
 from typing import Any
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +23,11 @@ def require_env(env: Any) -> None:
     """
     name = env_name(env)
     require = requirement(name)
+    kind = env if isinstance(env, type) else type(env)
+    require(
+        not issubclass(kind, gymnasium.Env),
+        "this is of Gymnasium: pass gymnasium:ID, or a function that makes it",
+    )
     require(not isinstance(env, type), "this is a class: pass an instance of it")
     missing = [member for member in ("reset", "step", "action_size") if not hasattr(env, member)]
     require(not missing, f"this is not a Brax environment: it has no {', '.join(missing)}")
@@ -83,6 +89,11 @@ def starts_at_observations(env: Any) -> bool:
 def env_name(env: Env) -> str:
     """Return the name of the environment's class, without its wrappers."""
     return (env if isinstance(env, type) else type(getattr(env, "unwrapped", env))).__name__
+
+
+def own_env_id(env: Any) -> str | None:
+    """Return the name by which the task ``env`` was made; a wrapper around it is another task."""
+    return getattr(env, "__dict__", {}).get("env_id")
 
 
 def env_sizes(env: Env) -> tuple[int, int]:

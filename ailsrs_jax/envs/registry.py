@@ -9,7 +9,7 @@ import gymnasium
 
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, WORKER_TIMEOUT, GymnasiumEnv
-from ailsrs_jax.envs.interface import env_name, require_env
+from ailsrs_jax.envs.interface import env_name, own_env_id, require_env
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.tasks.ant import Ant
 from ailsrs_jax.envs.tasks.half_cheetah import HalfCheetah
@@ -87,6 +87,8 @@ def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
         UserError: the task, engine, flag or model file is unknown, or the result is not an
             environment.
     """
+    if name.startswith(PREFIX):
+        raise UserError(f"{name} has no step and reset in JAX: pass its name to train or evaluate")
     env_id = resolve_env_id(name)
     allow(env_id)
     return _make(env_id, _factory(env_id), physics, **flags)
@@ -132,7 +134,7 @@ def open_env(
                 f"physics '{physics}' needs a task by name: an environment has its own physics"
             )
         require_env(env)
-        return OpenEnv(env, env_name(env), _engine(env), OWN_PHYSICS)
+        return OpenEnv(env, own_env_id(env) or env_name(env), _engine(env), OWN_PHYSICS)
     env_id, (_, reason) = resolve_env_id(env), choose_engine(physics)
     factory = _factory(env_id)
     if not _takes_physics(factory):
@@ -171,6 +173,7 @@ def require_harmless(env_id: str, source: str, option: str = "--env") -> None:
 
 
 def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) -> Env:
+    is_plain = not flags
     if _takes_physics(factory):
         flags["physics"] = physics
     elif physics != "auto":
@@ -179,7 +182,10 @@ def _make(env_id: str, factory: Callable[..., Env], physics: str, **flags: Any) 
         unknown = flags.keys() - inspect.signature(factory).parameters
         if unknown:
             raise UserError(f"{env_id} has no flag {', '.join(sorted(unknown))}")
-        return factory(**flags)
+        task: Any = factory(**flags)
+        if is_plain:
+            task.env_id = env_id  # so that it is the task of this name wherever it is handed in
+        return task
     with refusing(env_id):
         env = factory(**flags)
     require_env(env)

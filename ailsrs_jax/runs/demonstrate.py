@@ -4,6 +4,7 @@ import contextlib
 import functools
 import hashlib
 import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,7 @@ from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.envs.physics import choose_engine
 from ailsrs_jax.envs.registry import open_env, require_harmless
-from ailsrs_jax.errors import UserError
+from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.host_calls import host_errors
 from ailsrs_jax.runs.horizon import EPISODE_LENGTH, env_horizon
@@ -182,6 +183,8 @@ def record(
 
 def require_some(number: int, of_what: str, episode_length: int | None) -> None:
     """Raise UserError unless at least one step of one episode is asked for."""
+    with refusing(f"{number!r} {of_what} asked for"):
+        operator.index(number)
     if number < 1 or (episode_length is not None and episode_length < 1):
         raise UserError(
             f"{number} {of_what} of {episode_length} steps asked for: ask for at least one"

@@ -91,7 +91,7 @@ def evaluate(
         num_episodes: how many episodes.
         physics: ``gymnasium`` runs the policy with NumPy in ``gymnasium.make(env_id)``, where
             episode ``i`` has the seed ``seed + i``; ``mjx``, ``mujoco`` and ``auto`` simulate our
-            own task. It has no effect if ``env`` is given.
+            own task. Leave it out if ``env`` is an environment.
         seed: of the initial states.
         env: any environment that :func:`~ailsrs_jax.runs.run.train` takes; by default the task that
             the policy names, if it is registered or was named in this process before.
@@ -119,6 +119,8 @@ def evaluation_episodes(
     stochastic: bool = False,
 ) -> Episodes:
     """Return the episodes that :func:`evaluate` measures."""
+    if not isinstance(policy, SavedPolicy):
+        raise UserError(f"this is no policy: {policy!r:.60}; load_policy reads one from a file")
     require_some(num_episodes, "episodes", episode_length)
     require_seed(seed)
     if env is None:

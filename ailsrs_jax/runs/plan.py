@@ -112,6 +112,8 @@ def _with_whole_numbers(spec: RunSpec) -> RunSpec:
         raise UserError(f"seeds are {seeds}: give one or more different seeds")
     for seed in seeds:
         require_seed(seed)
+    if type(spec.states_only) is not bool:
+        raise UserError(f"states_only is {spec.states_only!r}: it must be True or False")
     numbers: dict[str, Any] = {}
     for name in ("num_trajectories", "draw_from", "subsample", "rollout_batch_size"):
         if (value := getattr(spec, name)) is not None:

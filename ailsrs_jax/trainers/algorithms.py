@@ -39,6 +39,8 @@ def find_algorithm(name: str) -> Algorithm:
     Raises:
         UserError: there is none.
     """
+    if not isinstance(name, str):
+        raise UserError("name the algorithm: 'ailsrs', or 'module:attribute' for one of your own")
     if name in ALGORITHMS:
         return ALGORITHMS[name]
     if not is_own(name):

@@ -104,7 +104,7 @@ def until_the_field_ends(state: State) -> State:
 REFUSED = {
     "PointMass: this is a class": PointMass,
     "int: this is not a Brax environment: it has no reset, step, action_size": 3,
-    "it has no action_size": gymnasium.make("Swimmer-v5"),
+    "this is of Gymnasium: pass gymnasium:ID, or a function": gymnasium.make("Swimmer-v5"),
     "it has no hash": Unhashable(),
     "PointMass: VmapWrapper makes it a batch": training.VmapWrapper(PointMass(), 4),
     "PointMass: AutoResetWrapper restarts its episodes": training.EpisodeWrapper(

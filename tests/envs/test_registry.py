@@ -1,6 +1,8 @@
 import importlib
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -109,6 +111,32 @@ def test_an_environment_instead_of_a_name() -> None:
     env = PointMass()
     assert open_env(env) == (env, "PointMass", "none", "the environment's own")
     assert open_env(training.EpisodeWrapper(env, 5, 1)).env_id == "PointMass"
+
+
+def test_a_task_that_was_made_keeps_its_name() -> None:
+    """So it has the task's preset, expert and demonstrations; with other flags it is another."""
+    made = make_env("swimmer", "mujoco")
+    assert open_env(made).env_id == "Swimmer-v5"
+    assert open_env(make_env("swimmer", "mujoco", frame_skip=5)).env_id == "Swimmer"
+    assert open_env(training.EpisodeWrapper(made, 5, 1)).env_id == "Swimmer"
+
+
+@pytest.mark.parametrize(
+    ("flags", "problem"),
+    [
+        ({"frame_skip": 2.5}, "frame_skip is 2.5: it must be a whole number from 1"),
+        ({"frame_skip": -1}, "frame_skip is -1"),
+        ({"reset_noise_scale": -0.1}, "reset_noise_scale is -0.1: it must not be negative"),
+    ],
+)
+def test_flags_that_make_no_sense_are_refused(flags: dict[str, Any], problem: str) -> None:
+    with pytest.raises(UserError, match=re.escape(problem)):
+        make_env("swimmer", "mujoco", **flags)
+
+
+def test_an_environment_of_gymnasium_is_not_made_here() -> None:
+    with pytest.raises(UserError, match="has no step and reset in JAX: pass its name to train"):
+        make_env("gymnasium:Pendulum-v1")
 
 
 @pytest.mark.usefixtures("own_tasks")

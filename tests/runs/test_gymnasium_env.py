@@ -17,6 +17,7 @@ import ailsrs_jax as ail
 from ailsrs_jax.envs import registry
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.evaluation import evaluation_episodes
+from ailsrs_jax.runs.storage.metrics import IterationReport
 from tests.cli.test_cli import ailsrs
 from tests.workers.environments import Mass, happens_first
 from tests.workers.test_pool import children, make
@@ -101,7 +102,7 @@ def test_a_function_that_makes_the_environment() -> None:
     assert run.policies[0].weights.shape == (1, 2)
 
 
-def test_gail_learns_in_workers() -> None:
+def test_gail_learns_in_workers_and_goes_on(tmp_path: Path) -> None:
     settings = {
         "num_iterations": 2,
         "updates_per_iteration": 2,
@@ -110,8 +111,19 @@ def test_gail_learns_in_workers() -> None:
         "num_distance_samples": 50,
         "episode_length": 30,
     }
-    run = ail.train(MASS, mass_demonstrations(), algorithm="gail", workers=2, **settings)
+    given = {"algorithm": "gail", "workers": 2, **settings}
+    run = ail.train(MASS, mass_demonstrations(), **given)
     assert ail.evaluate(run.policies[0], 3, env=MASS, episode_length=30).mean > 10
+
+    def stop(report: IterationReport) -> None:
+        raise KeyboardInterrupt
+
+    given["output"] = tmp_path / "run"  # its episodes go on where they were
+    with pytest.raises(KeyboardInterrupt):
+        ail.train(MASS, mass_demonstrations(), watch=stop, checkpoint_every=1, **given)
+    again = ail.train(MASS, mass_demonstrations(), resume=True, **given)
+    for one, other in zip(again.policies[0].weights, run.policies[0].weights, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_what_steps_all_together_is_refused() -> None:
@@ -120,10 +132,10 @@ def test_what_steps_all_together_is_refused() -> None:
 
 
 class Fragile(Mass):
-    """Raises an exception once, in the course of a training."""
+    """Raises an exception once, after four iterations of a training."""
 
     def step(self, action: np.ndarray) -> Any:
-        if self.np_random.uniform() < 0.005 and happens_first(1):
+        if Path(os.environ["MARKS"], "four").exists() and happens_first(1):
             raise OSError("the simulator has lost its licence")
         return super().step(action)
 
@@ -136,11 +148,15 @@ def test_an_exception_leaves_a_run_that_goes_on(
     def fragile() -> Fragile:
         return Fragile()
 
-    options = ARS | {"seeds": [3], "num_iterations": 12, "checkpoint_every": 1}
+    def mark(report: IterationReport) -> None:
+        if report.iteration == 3:
+            (tmp_path / "four").touch()
+
+    options = ARS | {"seeds": [3], "num_iterations": 12}
     with pytest.raises(UserError, match="OSError: the simulator has lost its licence; the tra"):
-        ail.train(fragile, output=tmp_path / "a", **options)
-    resume = (tmp_path / "a" / "config.json").exists()
-    run = ail.train(fragile, output=tmp_path / "a", resume=resume, **options)
+        ail.train(fragile, output=tmp_path / "a", watch=mark, **options)
+    assert (tmp_path / "a" / "checkpoints" / "4").exists()
+    run = ail.train(fragile, output=tmp_path / "a", resume=True, **options)
     again = ail.train(fragile, **options)
     np.testing.assert_array_equal(run.policies[3].weights, again.policies[3].weights)
 

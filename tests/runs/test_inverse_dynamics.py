@@ -71,3 +71,17 @@ def test_training_data_without_actions(env: Env, demonstrations: Demonstrations)
         RunSpec("swimmer", alone.subsample(4)), env, "Swimmer-v5", "mujoco"
     )
     assert unknown.infer is None
+
+
+def test_training_from_states_alone_begins_with_the_clone_of_the_actions(
+    demonstrations: Demonstrations,
+) -> None:
+    tiny = {"num_directions": 1, "num_top_directions": 1, "episode_length": 40}
+    options = tiny | {"num_iterations": 1, "warmup_rounds": 1, "num_evaluation_episodes": 1}
+    alone, whole = (
+        ail.train("swimmer", demonstrations, physics="mujoco", states_only=only, **options)
+        for only in (True, False)
+    )
+    clone, same = (run.policies[0].weights for run in (alone, whole))
+    assert np.abs(same).max() > 0.1
+    np.testing.assert_allclose(clone, same, atol=0.05 * np.abs(same).max())

@@ -11,6 +11,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.data.demonstrations import Demonstrations
+from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.saved_run import read_run
 from ailsrs_jax.trainers.algorithms import ALGORITHMS
 from tests.point_mass import PointMass
@@ -63,7 +64,18 @@ def test_all_leave_the_same_behind(
         np.testing.assert_allclose(saved(observation), policy(observation), rtol=1e-6)
         assert ail.evaluate(saved, 2, env=point_mass, episode_length=20).lengths.max() <= 20
 
+    reports: list[int] = []
+
+    def stop_once(report: IterationReport) -> None:
+        reports.append(report.iteration)
+        if len(reports) == 2:
+            raise KeyboardInterrupt
+
+    arguments |= {"output": tmp_path / "stopped", "checkpoint_every": 1, "watch": stop_once}
+    with pytest.raises(KeyboardInterrupt):
+        ail.train(point_mass, **arguments)
     again = ail.train(point_mass, **arguments, resume=True)
+    assert reports == [0, 1, 2]
     for seed in result.policies:
         jax.tree.map(
             np.testing.assert_array_equal,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import ailsrs_jax as ail
 from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy
@@ -163,6 +164,22 @@ def test_starts_are_common_to_all_policies_of_an_update(changed: Any) -> None:
     assert len(np.unique(apart[..., 0])) == 16
     assert len(np.unique(common[..., 0])) == 2
     np.testing.assert_array_equal(common, np.tile(common[:1], (8, 1, 1)))
+
+
+def test_the_share_of_demonstrated_starts(
+    point_mass_expert: Demonstrations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    demonstrations = ail.demonstrate(ail.load_expert("swimmer"), 2, episode_length=30)
+    recorded = np.asarray(demonstrations.observations).reshape(-1, 8)
+    env = ail.make_env("swimmer", "mujoco")
+    for share, number in ((0.0, 0), (0.5, 4), (1.0, 8)):
+        settings = dataclasses.replace(SMALL, demonstrated_starts=share, episode_length=30)
+        trainer = make_ailsrs(env, demonstrations, settings)
+        state = trainer.init(jax.random.key(0))
+        deltas = trainer.ask(jax.random.key(1))
+        first = np.asarray(trainer.simulate(state, deltas, jax.random.key(2)).observations[:, 0])
+        nearest = np.abs(first[:, None] - recorded).max(axis=-1).min(axis=1)
+        assert (nearest < 1e-3).sum() == number
 
 
 def test_a_return_is_the_mean_over_the_starts(changed: Any) -> None:

@@ -23,6 +23,7 @@ from ailsrs_jax.envs.physics import (
 from ailsrs_jax.envs.physics.base import STATE, all_within, read
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.model_file import load_model
+from ailsrs_jax.errors import UserError
 
 if TYPE_CHECKING:
     from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner
@@ -63,14 +64,17 @@ class MujocoTask(Env):
             num_hidden_positions: number of leading entries of ``qpos`` that are not observed.
             readings: fields of ``mjData`` that the reward needs besides ``qpos`` and ``qvel``.
         """
+        if type(frame_skip) is not int or frame_skip < 1:
+            raise UserError(f"frame_skip is {frame_skip!r}: it must be a whole number from 1")
+        if not 0 <= reset_noise_scale < np.inf:
+            raise UserError(f"reset_noise_scale is {reset_noise_scale}: it must not be negative")
         model = load_model(xml_file)
         self._num_hidden_positions = num_hidden_positions
         sensed = [part.field for part in (*self._observed(), *self._limits())]
         needed = dict.fromkeys(name for name in (*readings, *sensed) if name not in STATE)
         self.physics: Physics = make_physics(physics, model, frame_skip, tuple(needed))
         self.dt = float(model.opt.timestep) * frame_skip
-        self._readings = readings
-        self._reset_noise_scale = reset_noise_scale
+        self._readings, self._reset_noise_scale = readings, reset_noise_scale
         self._initial_qpos = jnp.asarray(model.qpos0, jnp.float32)
         self.action_low = np.float32(model.actuator_ctrlrange[:, 0])
         self.action_high = np.float32(model.actuator_ctrlrange[:, 1])

@@ -120,11 +120,10 @@ def test_ppo_lives_with_episodes_that_diverge() -> None:
 
 def test_the_environment_says_how_long_episodes_are() -> None:
     few = {"num_iterations": 1, "num_directions": 1, "num_top_directions": 1}
-    expert = ail.train_expert(
-        "gymnasium:Pendulum-v1", algorithm="ars", num_evaluation_episodes=1, **few
-    )
-    assert expert.episode_length == 200
-    assert ail.demonstrate(expert, 1).lengths.tolist() == [200]
+    env = "gymnasium:tests.workers.environments:Plain-v0"
+    expert = ail.train_expert(env, algorithm="ars", num_evaluation_episodes=1, **few)
+    assert expert.episode_length == 40
+    assert ail.demonstrate(expert, 1).lengths.max() <= 40
 
 
 def test_mistakes() -> None:

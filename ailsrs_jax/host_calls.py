@@ -20,10 +20,9 @@ class Interrupted(Exception):  # noqa: N818  (not an error)
     """A function on the host has ended early, without a result."""
 
 
-# Of each block in any thread: a function on the host does not know which block it belongs to.
-_stops: list[Callable[[], bool]] = []
-_problems: list[list[Exception]] = []
-_turn = threading.RLock()
+_stops: list[Callable[[], bool]] = []  # one for each block of interruptible, in any thread
+_problems: list[list[Exception]] = []  # one list for each block of host_errors
+_turn = threading.RLock()  # of the thread whose blocks of host_errors these are
 
 
 def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
@@ -38,8 +37,7 @@ def host_call(function: Callable[..., Any], types: Any, *arguments: Any) -> Any:
         except Exception as error:
             if not _problems:
                 raise
-            for problems in _problems:
-                problems.append(error)
+            _problems[-1].append(error)
             return zeros(types)
 
     return jax.pure_callback(call, types, *arguments)

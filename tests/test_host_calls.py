@@ -1,5 +1,7 @@
 """Functions on the host that a program calls, in several threads."""
 
+import threading
+
 import jax
 import numpy as np
 import pytest
@@ -11,16 +13,28 @@ def fail(x: np.ndarray) -> np.ndarray:
     raise ValueError(f"no {x}")
 
 
-def test_a_failure_reaches_every_block() -> None:
-    """It gives zeros, and nobody knows which block they are in; so none goes on with them."""
-    first, second = host_errors(), host_errors()
-    first.__enter__()
-    second.__enter__()
-    result = host_call(fail, jax.ShapeDtypeStruct((), np.float32), np.float32(3))
-    assert float(result) == 0.0
-    for block in (first, second):
-        with pytest.raises(ValueError, match=r"no 3\.0"):
-            block.__exit__(None, None, None)
+def test_a_failure_reaches_the_block_of_its_own_thread() -> None:
+    begun, ended = threading.Event(), list[str]()
+
+    def innocent() -> None:
+        begun.set()
+        with host_errors():  # waits for its turn
+            ended.append("well")
+
+    other = threading.Thread(target=innocent)
+
+    def failing() -> None:
+        with host_errors():
+            other.start()
+            begun.wait()
+            result = host_call(fail, jax.ShapeDtypeStruct((), np.float32), np.float32(3))
+            assert float(result) == 0.0
+            assert not ended
+
+    with pytest.raises(ValueError, match=r"no 3\.0"):
+        failing()
+    other.join()
+    assert ended == ["well"]
 
 
 def test_blocks_end_in_any_order() -> None:

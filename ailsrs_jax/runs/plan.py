@@ -63,7 +63,7 @@ def plan(spec: RunSpec) -> Plan:
         UserError: something is wrong.
     """
     set_up_jax()
-    spec = _with_whole_numbers(spec)
+    spec = _checked(spec)
     env, env_id, engine, reason = open_env(
         spec.env, spec.physics, spec.workers, spec.worker_timeout
     )
@@ -104,8 +104,8 @@ def plan(spec: RunSpec) -> Plan:
     return Plan(_resolved(spec, config, limit), config, simulator, data, reason)
 
 
-def _with_whole_numbers(spec: RunSpec) -> RunSpec:
-    """Return ``spec`` with Python's own integers, after checking the seeds."""
+def _checked(spec: RunSpec) -> RunSpec:
+    """Return ``spec`` with Python's own integers, after checking them and ``states_only``."""
     with refusing("seeds are not a list of whole numbers"):
         seeds = [operator.index(seed) for seed in spec.seeds]
     if not seeds or len(set(seeds)) < len(seeds):

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 import ailsrs_jax as ail
-from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.data.policies import SavedLinearPolicy, SavedMlpPolicy
+from ailsrs_jax.data.policies import SavedMlpPolicy
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.policies import jax_policy
 from ailsrs_jax.runs.storage.policies import saved_policy
 from ailsrs_jax.trainers.ailsrs import Ailsrs, make_ailsrs
 from ailsrs_jax.trainers.gail import GailSettings, make_gail
@@ -268,36 +266,6 @@ def test_a_controlled_penalty_decays_too(changed: Any) -> None:
     state = trainer.init(jax.random.key(0)).replace(num_updates=jnp.array(1))  # half of them
     state, _ = jax.jit(trainer.update)(state)
     np.testing.assert_allclose(state.adversary.penalty, 10 * 0.3**0.5, rtol=1e-4)
-
-
-@pytest.mark.parametrize("rows", ["independent", "singular", "tiny"])
-def test_a_saved_policy_with_an_intercept_acts_the_same(rows: str) -> None:
-    """In float32, too: to shift the mean for a tiny row, it would have to be 1e7 away."""
-    rng = np.random.default_rng(0)
-    weights = rng.normal(size=(3, 5)).astype(np.float32)
-    if rows == "singular":
-        weights[2] = weights[1]
-    elif rows == "tiny":
-        weights[2] *= 1e-7
-    intercept, mean = rng.normal(size=3), rng.normal(size=5)
-    policy = LinearPolicy(
-        *map(jnp.float32, (weights, mean, rng.uniform(0.5, 2.0, 5), -2 * np.ones(3), np.ones(3))),
-        intercept=jnp.float32(intercept),
-    )
-    saved = saved_policy(policy, "Swimmer-v5")
-    assert type(saved) is (SavedLinearPolicy if rows == "independent" else SavedMlpPolicy)
-    assert not saved.is_stochastic
-    observations = rng.normal(size=(20, 5)).astype(np.float32)
-    for same in (saved, jax.vmap(jax_policy(saved))):
-        np.testing.assert_allclose(
-            same(observations), jax.vmap(policy)(observations), rtol=1e-4, atol=1e-5
-        )
-
-
-def test_a_saved_policy_without_an_intercept_is_the_policy() -> None:
-    policy = LinearPolicy(*map(jnp.ones, ((3, 5), 5, 5, 3, 3)), intercept=jnp.zeros(3))
-    saved = saved_policy(policy, "Swimmer-v5")
-    np.testing.assert_array_equal(saved.mean, policy.mean)
 
 
 def test_the_energy_distance_is_a_share_of_the_return(changed: Any) -> None:

@@ -11,6 +11,7 @@ from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
+from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.sharing import AXIS
@@ -26,7 +27,12 @@ def set_up_jax() -> None:
 
     Choices that the user has made stay. Programs that call MuJoCo's C engine are not cached,
     because JAX cannot store a callback.
+
+    Raises:
+        UserError: JAX computes in 64 bits.
     """
+    if jax.config.values["jax_enable_x64"]:
+        raise UserError("jax_enable_x64 is on, and only 32 bits are supported: turn it off")
     if jax.config.values["jax_compilation_cache_dir"] is None:
         jax.config.update("jax_compilation_cache_dir", str(cache_directory() / "xla"))
     chosen = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")

@@ -4,6 +4,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -53,6 +54,11 @@ def test_the_command_names_what_is_not_a_default(
     save_demonstrations(swimmer_demonstrations(), "my demos.npz")
     spec = RunSpec(**({"env": "swimmer", "seeds": (0, 3), "physics": "mujoco"} | fields))
     assert plan(spec).spec.command == command
+
+
+def test_64_bits_are_refused() -> None:
+    with jax.enable_x64(True), pytest.raises(UserError, match="only 32 bits are supported"):
+        plan(RunSpec("hopper", algorithm="ars"))
 
 
 def test_auto_physics_is_decided(point_mass: PointMass, in_tmp_path: Path) -> None:

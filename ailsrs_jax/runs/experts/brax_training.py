@@ -12,6 +12,7 @@ import numpy as np
 from brax.envs.wrappers import training as wrappers
 
 from ailsrs_jax.components.policy import MlpPolicy
+from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env, State, Wrapper
 from ailsrs_jax.envs.divergence import EndDiverged
 from ailsrs_jax.envs.interface import action_range
@@ -88,6 +89,15 @@ def unit_policy(
         action_high=high,
         action_std=half_range * action_std,
     )
+
+
+def unit_layers(env: Env, policy: SavedPolicy) -> tuple[list[dict[str, jax.Array]], jax.Array]:
+    """Return ``layers`` and ``action_std`` of which :func:`unit_policy` makes ``policy``."""
+    middle, half_range = _stretch(env)
+    *hidden, (weights, bias) = policy.layers
+    layers = *hidden, (weights / half_range[:, None], (bias - middle) / half_range)
+    named = [{"kernel": jnp.asarray(w).T, "bias": jnp.asarray(b)} for w, b in layers]
+    return named, jnp.asarray(policy.noise_std) / half_range
 
 
 def _stretch(env: Env) -> tuple[jax.Array, jax.Array]:

@@ -34,6 +34,7 @@ def train_expert(
     algorithm: str = "ppo",
     seed: int = 0,
     physics: str = "auto",
+    start: SavedPolicy | None = None,
     output: str | Path | None = None,
     watch: Callable[[IterationReport], None] | None = None,
     **settings: Any,
@@ -56,6 +57,7 @@ def train_expert(
             ``es`` its evolution strategy, and ``ars`` augmented random search of a linear policy.
         seed: random seed.
         physics: ``auto``, ``mjx`` or ``mujoco``; only for a task given by its name.
+        start: a policy that ``ppo`` has trained, to go on from, perhaps in a changed environment.
         output: a policy file, written whenever a better policy is found; ``es`` writes it once, in
             the end. Without it nothing is written.
         watch: called after every iteration.
@@ -75,6 +77,8 @@ def train_expert(
     limit = {"episode_length": env_horizon(task.env)}
     chosen = override(expert_settings(algorithm, task.env_id), limit | settings)
     require_seed(seed)
+    if start is not None and algorithm != "ppo":
+        raise UserError(f"{algorithm} starts anew: leave out start")
     if algorithm != "ars" and not hasattr(task.env, "step"):
         raise UserError(
             f"{algorithm} steps all environments together, and those of Gymnasium run whole "
@@ -103,7 +107,7 @@ def train_expert(
             raise report.divergence
 
     if isinstance(chosen, PpoSettings):
-        train_ppo(task.env, chosen, seed, consider)
+        train_ppo(task.env, chosen, seed, start, consider)
     elif isinstance(chosen, EvolutionSettings):
         offer(*train_by_evolution(task.env, chosen, seed, watch or (lambda _: None)))
     else:

@@ -8,12 +8,21 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks, train
+from brax.training.types import UInt64
 
 from ailsrs_jax.components.policy import MlpPolicy
+from ailsrs_jax.data.policies import SavedPolicy
 from ailsrs_jax.envs import Env
+from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.experts.brax_training import Progress, shared_arguments, unit_policy
+from ailsrs_jax.runs.experts.brax_training import (
+    Progress,
+    shared_arguments,
+    unit_layers,
+    unit_policy,
+)
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.settings import Positive, Signed, UpToOne
@@ -43,6 +52,9 @@ class PpoSettings:
     hidden_size: int = 64  #: tanh units in each of two layers
     init_noise_std: Positive = 1.0  #: relative to half the range of an action
     stop_at: Signed = 0.0  #: stop at this return, and keep the policy nearest to it; 0: never
+
+
+OBSERVED = 10_000_000  # steps that the statistics of a policy to go on from count as
 
 
 class _StopError(Exception):
@@ -78,21 +90,24 @@ def train_ppo(
     env: Env,
     settings: PpoSettings,
     seed: int,
+    start: SavedPolicy | None,
     consider: Callable[[IterationReport, MlpPolicy, float], None],
 ) -> None:
-    """Train a Gaussian policy on the reward of ``env``.
+    """Train a Gaussian policy on the reward of ``env``, from ``start`` or from a random one.
 
     ``consider`` is called after each part of the training with a report, the mean of the Gaussian
     policy, and its score. The policy with the highest score is the best.
 
     Raises:
-        UserError: num_envs is not a multiple of num_minibatches.
+        UserError: num_envs is not a multiple of num_minibatches, or ``start`` is another kind of
+            policy.
     """
     if settings.num_envs % settings.num_minibatches:
         raise UserError(
             f"setting num_envs is {settings.num_envs}: it must be a multiple of num_minibatches, "
             f"{settings.num_minibatches}"
         )
+    restored = None if start is None else _parameters(env, settings, start)
     sizes = settings.num_evaluation_episodes, settings.episode_length
     evaluate = jax.jit(lambda policy, key: Simulator(env).evaluate(policy, key, *sizes))
     progress = Progress(settings.num_evaluations)
@@ -146,6 +161,8 @@ def train_ppo(
                 mean_kernel_init_kwargs={"scale": 0.01},
             ),
             policy_params_fn=evaluated,
+            restore_params=restored,
+            restore_value_fn=False,
         )
 
 
@@ -154,3 +171,29 @@ def _policy(env: Env, parameters: Any) -> MlpPolicy:
     network = policy["params"]
     layers = *(network["MLP_0"][f"hidden_{i}"] for i in range(2)), network["Dense_0"]
     return unit_policy(env, normalizer, layers, jnp.exp(network["std_logparam"]["log_value"]))
+
+
+def _parameters(env: Env, settings: PpoSettings, start: SavedPolicy) -> tuple[Any, Any]:
+    """Return the parameters of which :func:`_policy` makes ``start``."""
+    start.require_shape(*env_sizes(env)[::-1])
+    widths = [len(bias) for _, bias in start.layers[:-1]]
+    if widths != [settings.hidden_size] * 2 or not start.is_stochastic:
+        raise UserError(
+            f"start has hidden layers of {widths} units: ppo goes on from a Gaussian policy of two "
+            f"layers of {settings.hidden_size} units, as it trains"
+        )
+    layers, action_std = unit_layers(env, start)
+    normalizer = running_statistics.init_state(jax.ShapeDtypeStruct(start.mean.shape, jnp.float32))
+    normalizer = normalizer.replace(
+        count=UInt64(hi=0, lo=OBSERVED),
+        mean=jnp.asarray(start.mean),
+        std=jnp.asarray(start.std),
+        summed_variance=OBSERVED * jnp.square(start.std),
+    )
+    *hidden, last = layers
+    network = {
+        "MLP_0": {f"hidden_{i}": layer for i, layer in enumerate(hidden)},
+        "Dense_0": last,
+        "std_logparam": {"log_value": jnp.log(action_std)},
+    }
+    return normalizer, {"params": network}

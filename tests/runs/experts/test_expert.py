@@ -83,6 +83,18 @@ def test_a_small_divergence_is_kept_by_small_steps() -> None:
     assert np.abs(bound.weights[-1]).max() < 0.5 * np.abs(free.weights[-1]).max()
 
 
+@BOTH
+def test_training_goes_on_from_a_policy(env: PointMass) -> None:
+    still: Any = SMALL | {"num_env_steps": 1000, "num_evaluations": 1, "learning_rate": 1e-9}
+    first = ail.train_expert(env, **SMALL | {"num_env_steps": 5000, "num_evaluations": 1})
+    again = ail.train_expert(env, start=first, seed=1, **still)
+    observations = np.random.default_rng(0).normal(size=(20, 2))
+    np.testing.assert_allclose(again(observations), first(observations), atol=1e-3)
+    np.testing.assert_allclose(again.noise_std, first.noise_std, rtol=1e-4)
+    other = ail.train_expert(env, seed=1, **still)
+    assert np.abs(other(observations) - first(observations)).max() > 1e-2
+
+
 @pytest.mark.slow
 @BOTH
 def test_evolution_learns_and_its_last_policy_is_saved(env: PointMass, tmp_path: Path) -> None:
@@ -127,6 +139,18 @@ def test_the_environment_says_how_long_episodes_are() -> None:
 
 
 def test_mistakes() -> None:
+    linear = ail.SavedLinearPolicy(
+        env_id="PointMass",
+        mean=np.zeros(2),
+        std=np.ones(2),
+        action_low=-np.ones(1),
+        action_high=np.ones(1),
+        weights=np.zeros((1, 2)),
+    )
+    with pytest.raises(ail.UserError, match="goes on from a Gaussian policy of two layers of 64"):
+        ail.train_expert(PointMass(), start=linear, **SMALL)
+    with pytest.raises(ail.UserError, match="ars starts anew: leave out start"):
+        ail.train_expert(PointMass(), algorithm="ars", start=linear)
     with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use one of ppo, es, ars"):
         ail.train_expert(PointMass(), algorithm="sac")
     with pytest.raises(ail.UserError, match="num_envs is 32: it must be a multiple of"):

@@ -52,7 +52,10 @@ def main() -> None:
         path = directory / f"stage_{number}.npz"
         if not path.exists():
             env = ail.make_env("ant", "mujoco", **flags)
-            best = ail.train_expert(env, start=policy, watch=report, **COMMON | settings)
+            so_far = directory / "best_so_far.npz"
+            best = ail.train_expert(
+                env, start=policy, output=so_far, watch=report, **COMMON | settings
+            )
             dataclasses.replace(best, env_id="Ant-v5").save(path)
         policy = ail.load_policy(path)
 

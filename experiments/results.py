@@ -76,7 +76,8 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
   those of Table I. There are 32 directions instead of 320, and 16 on Hopper. Every task starts from
   behaviour cloning. Observations are in units of the expert's standard deviation. There is a
   gradient penalty and a memory of past policies. The steps that are missing after a fall count
-  less. On HalfCheetah the discriminator sees states without actions.
+  less. On HalfCheetah the discriminator sees states without actions. Two claims are judged by the
+  present preset ([ablations](#ablations)), and one by Table I itself ([table_1](#table_1)).
 - *Tuning.* These settings were tuned by hand on these tasks. Seeds were held back only for the last
   two changes. Hopper's directions and iterations were chosen when Hopper was at 0.86 from ten
   demonstrations and at 0.89 from forty ([held_back](#held_back)). Walker2d's discriminator steps

@@ -18,6 +18,7 @@ pytest.importorskip("experiments.results", reason="the package is installed with
 from experiments import results
 from experiments.claims import CLAIMS
 from experiments.evidence import (
+    ABLATIONS,
     CHEETAH,
     HOPPER,
     NUM_SEEDS,
@@ -64,6 +65,7 @@ def write_curves(directory: Path, curves: dict[str, list[list[float]]]) -> None:
 def write_ablations(
     directory: Path, steps: dict[str, int], curves: dict[str, list[float]], zero: float
 ) -> None:
+    """Write the ablations, and with the score ``zero`` the runs of Table I, from zero weights."""
     rows = []
     for label in ("tuned", "from zero", "cross entropy"):
         curve = curves.get(label, [0, 1])
@@ -75,9 +77,11 @@ def write_ablations(
                 "mean_return_over_training": random + sum(curve) / len(curve) * (expert - random),
                 "curve": curve,
             }
-            score = zero if label == "from zero" else 1.0
-            rows += [row(score, label=label, env_id=task, seed=s, **changes) for s in range(3)]
+            seeds = range(NUM_SEEDS[ABLATIONS])
+            rows += [row(1.0, label=label, env_id=task, seed=s, **changes) for s in seeds]
     write_sweep(directory / "ablations", rows)
+    of_paper = {"label": "Table I", "algorithm": "ailsrs", "env_id": HOPPER}
+    write_sweep(directory / "table_1", [row(zero, seed=s, **of_paper) for s in range(3)])
 
 
 def write_hard(directory: Path, score: float) -> None:

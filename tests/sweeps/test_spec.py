@@ -231,7 +231,7 @@ def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> N
         "smoke": 8,
         "paper": 192,
         "curves": 20,
-        "ablations": 78,
+        "ablations": 160,
         "ant_humanoid": 18,
         "baselines": 12,
     }.items(),

@@ -25,6 +25,7 @@ from experiments.evidence import (
     NUMBERS,
     PAPER_EXPERTS,
     SWIMMER,
+    TABLE_1,
     WALKER,
     Check,
     Claim,
@@ -81,7 +82,9 @@ def write_ablations(
             rows += [row(1.0, label=label, env_id=task, seed=s, **changes) for s in seeds]
     write_sweep(directory / "ablations", rows)
     of_paper = {"label": "Table I", "algorithm": "ailsrs", "env_id": HOPPER}
-    write_sweep(directory / "table_1", [row(zero, seed=s, **of_paper) for s in range(3)])
+    write_sweep(
+        directory / "table_1", [row(zero, seed=s, **of_paper) for s in range(NUM_SEEDS[TABLE_1])]
+    )
 
 
 def write_hard(directory: Path, score: float) -> None:

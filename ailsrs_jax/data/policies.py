@@ -189,6 +189,12 @@ class SavedMlpPolicy(SavedPolicy):
         return arrays
 
 
+def require_policy(policy: Any) -> None:
+    """Raise UserError unless this is a :class:`SavedPolicy`."""
+    if not isinstance(policy, SavedPolicy):
+        raise UserError(f"this is no policy: {policy!r:.60}; load_policy reads one from a file")
+
+
 def load_policy(path: str | Path) -> SavedPolicy:
     """Read and validate a policy's ``.npz`` or ``.safetensors`` file; nothing is unpickled.
 

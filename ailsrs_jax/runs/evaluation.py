@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.policy import repeated
-from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.data.policies import SavedPolicy, require_policy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import PREFIX, GymnasiumEnv, GymnasiumStart
 from ailsrs_jax.envs.registry import TASKS, is_gymnasium, open_env, require_harmless, resolve_env_id
@@ -119,8 +119,7 @@ def evaluation_episodes(
     stochastic: bool = False,
 ) -> Episodes:
     """Return the episodes that :func:`evaluate` measures."""
-    if not isinstance(policy, SavedPolicy):
-        raise UserError(f"this is no policy: {policy!r:.60}; load_policy reads one from a file")
+    require_policy(policy)
     require_some(num_episodes, "episodes", episode_length)
     require_seed(seed)
     if env is None:

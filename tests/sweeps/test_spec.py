@@ -234,6 +234,7 @@ def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> N
         "ablations": 160,
         "ant_humanoid": 18,
         "baselines": 12,
+        "table_1": 6,
     }.items(),
 )
 def test_the_experiments_expand(name: str, num_cells: int, in_tmp_path: Path) -> None:

@@ -164,9 +164,7 @@ def test_starts_are_common_to_all_policies_of_an_update(changed: Any) -> None:
     np.testing.assert_array_equal(common, np.tile(common[:1], (8, 1, 1)))
 
 
-def test_the_share_of_demonstrated_starts(
-    point_mass_expert: Demonstrations, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_share_of_demonstrated_starts() -> None:
     demonstrations = ail.demonstrate(ail.load_expert("swimmer"), 2, episode_length=30)
     recorded = np.asarray(demonstrations.observations).reshape(-1, 8)
     env = ail.make_env("swimmer", "mujoco")

@@ -13,7 +13,7 @@ from brax.training.agents.ppo import networks, train
 from brax.training.types import UInt64
 
 from ailsrs_jax.components.policy import MlpPolicy
-from ailsrs_jax.data.policies import SavedPolicy
+from ailsrs_jax.data.policies import SavedPolicy, require_policy
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import env_sizes
 from ailsrs_jax.errors import UserError
@@ -175,6 +175,7 @@ def _policy(env: Env, parameters: Any) -> MlpPolicy:
 
 def _parameters(env: Env, settings: PpoSettings, start: SavedPolicy) -> tuple[Any, Any]:
     """Return the parameters of which :func:`_policy` makes ``start``."""
+    require_policy(start)
     start.require_shape(*env_sizes(env)[::-1])
     widths = [len(bias) for _, bias in start.layers[:-1]]
     if widths != [settings.hidden_size] * 2 or not start.is_stochastic:

@@ -149,6 +149,9 @@ def test_mistakes() -> None:
     )
     with pytest.raises(ail.UserError, match="goes on from a Gaussian policy of two layers of 64"):
         ail.train_expert(PointMass(), start=linear, **SMALL)
+    path: Any = "expert.npz"
+    with pytest.raises(ail.UserError, match="this is no policy: 'expert"):
+        ail.train_expert(PointMass(), start=path, **SMALL)
     with pytest.raises(ail.UserError, match="ars starts anew: leave out start"):
         ail.train_expert(PointMass(), algorithm="ars", start=linear)
     with pytest.raises(ail.UserError, match="unknown algorithm 'sac': use one of ppo, es, ars"):

@@ -10,11 +10,12 @@ import numpy as np
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.sources import EXPERT, Source, content_hash, open_source
 from ailsrs_jax.envs import Env
-from ailsrs_jax.envs.interface import action_range, env_sizes, starts_at_observations
+from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.inverse_dynamics import infer_actions
 from ailsrs_jax.runs.spec import RunSpec
+from ailsrs_jax.trainers.parts.reference import require_sizes
 
 NUM_TRAJECTORIES = 10  # of the shipped expert by default, the paper's smallest number
 
@@ -104,15 +105,8 @@ def require_fit(demonstrations: Demonstrations, env_id: str, env: Env) -> None:
     """Raise UserError unless the demonstrations have the sizes and the action range of ``env``."""
     if demonstrations.env_id != env_id:
         raise UserError(f"the demonstrations are of {demonstrations.env_id}, not of {env_id}")
-    n, p = env_sizes(env)
+    require_sizes(demonstrations, env)
     actions = demonstrations.actions
-    observed = demonstrations.observations.shape[-1]
-    acted = p if actions is None else actions.shape[-1]
-    if (observed, acted) != (n, p):
-        raise UserError(
-            f"the demonstrations have {observed} observations and "
-            f"{'no' if actions is None else acted} actions: {env_id} has {n} and {p}"
-        )
     if actions is None:
         return
     low, high = map(np.asarray, action_range(env))

@@ -24,7 +24,7 @@ from ailsrs_jax.trainers.parts.adversary import (
 from ailsrs_jax.trainers.parts.ailsrs_settings import AilsrsSettings
 from ailsrs_jax.trainers.parts.episodes import Episodes, over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.policy_space import PolicySpace
-from ailsrs_jax.trainers.parts.reference import Reference
+from ailsrs_jax.trainers.parts.reference import Reference, require_sizes
 from ailsrs_jax.trainers.parts.rollout import Simulator, Starts, as_simulator
 from ailsrs_jax.trainers.parts.settings import (
     is_used,
@@ -276,13 +276,15 @@ def make_ailsrs(
 
     Raises:
         UserError: a setting makes no sense, there are too many steps to count, or the
-            demonstrations do not hold what the settings need.
+            demonstrations do not fit the environment or lack what the settings need.
     """
     validate(settings)
     settings.require_consistent()
     remembered = settings.num_perturbed * settings.memory_iterations * settings.perturbed_length
     require_countable(remembered + settings.steps_per_iteration)
-    simulator, reference = as_simulator(env), adversary_reference(demonstrations, settings)
+    simulator = as_simulator(env)
+    require_sizes(demonstrations, simulator.env)
+    reference = adversary_reference(demonstrations, settings)
     if is_used(settings.energy_share):
         reference.require_comparable(settings.perturbed_length, settings.episode_length)
     parse_entries(settings.policy_entries, reference.observations.shape[-1])

@@ -16,7 +16,7 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers import presets
-from ailsrs_jax.trainers.parts.reference import Reference, make_reference
+from ailsrs_jax.trainers.parts.reference import Reference, make_reference, require_sizes
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.settings import Positive, PositiveUpToOne, validate
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
@@ -166,12 +166,15 @@ def make_behavior_cloning(
     """Prepare the demonstrations for cloning; see :class:`BehaviorCloning`.
 
     Raises:
-        UserError: a setting makes no sense, or the demonstrations hold no actions.
+        UserError: a setting makes no sense, or the demonstrations do not fit the environment or
+            hold no actions.
     """
     validate(settings)
+    simulator = as_simulator(env)
+    require_sizes(demonstrations, simulator.env)
     expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)
     expert.require_actions("behaviour cloning")
-    return BehaviorCloning(as_simulator(env), settings, expert)
+    return BehaviorCloning(simulator, settings, expert)
 
 
 BEHAVIOR_CLONING = Algorithm(

@@ -30,7 +30,7 @@ from ailsrs_jax.trainers.parts.adversary import (
 )
 from ailsrs_jax.trainers.parts.episodes import over_updates, with_evaluation
 from ailsrs_jax.trainers.parts.network_clone import clone_network
-from ailsrs_jax.trainers.parts.reference import Reference
+from ailsrs_jax.trainers.parts.reference import Reference, require_sizes
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
 from ailsrs_jax.trainers.parts.segments import RunningEnvs, Steps
 from ailsrs_jax.trainers.parts.settings import Positive, validate
@@ -184,11 +184,13 @@ def make_gail(env: Env | Simulator, demonstrations: Demonstrations, settings: Ga
 
     Raises:
         UserError: a setting makes no sense, the environments cannot share a batch evenly, or the
-            demonstrations do not hold what the settings need.
+            demonstrations do not fit the environment or lack what the settings need.
     """
     validate(settings)
     require_batches(settings)
-    return Gail(as_simulator(env), settings, adversary_reference(demonstrations, settings))
+    simulator = as_simulator(env)
+    require_sizes(demonstrations, simulator.env)
+    return Gail(simulator, settings, adversary_reference(demonstrations, settings))
 
 
 GAIL = Algorithm("GAIL", make_gail, GailSettings, presets.GAIL)

@@ -82,7 +82,7 @@ def test_mistakes_are_named(point_mass_expert: ail.Demonstrations) -> None:
         "are of PointMass, not of Fast": lambda: ail.train(
             envs.get_environment("fast"), point_mass_expert
         ),
-        "1 observations and 1 actions: PointMass has 2 and 1": lambda: ail.train(
+        "1 observations and 1 actions: the environment has 2 and 1": lambda: ail.train(
             env, point_mass_expert.replace(observations=np.zeros((8, 60, 1), np.float32))
         ),
         "takes 2 observations and gives 1 actions: the environment has 8 and 2": lambda: (

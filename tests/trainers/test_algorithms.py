@@ -130,3 +130,13 @@ def test_mistakes(point_mass: PointMass, point_mass_expert: Demonstrations) -> N
             make(point_mass, settings)
     with pytest.raises(ail.UserError, match="hold no actions, which behaviour cloning needs"):
         ail.train(point_mass, point_mass_expert.replace(actions=None), algorithm="bc")
+
+
+@pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if ALGORITHMS[name].imitates])
+def test_demonstrations_of_other_sizes_are_refused(
+    algorithm: str, point_mass: PointMass, point_mass_expert: Demonstrations
+) -> None:
+    make, settings = ALGORITHMS[algorithm].make, ALGORITHMS[algorithm].settings(**TINY[algorithm])
+    narrow = point_mass_expert.replace(observations=point_mass_expert.observations[..., :1])
+    with pytest.raises(ail.UserError, match="the environment has 2 and 1"):
+        make(point_mass, narrow, settings)

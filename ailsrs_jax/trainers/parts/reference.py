@@ -14,7 +14,7 @@ from ailsrs_jax.components.energy_distance import energy_distance, mean_distance
 from ailsrs_jax.components.normalizer import RunningStatistics
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
-from ailsrs_jax.envs.interface import starts_at_observations
+from ailsrs_jax.envs.interface import env_sizes, starts_at_observations
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.trainers.parts.episodes import Episodes
 from ailsrs_jax.trainers.parts.rollout import Starts
@@ -159,6 +159,19 @@ def verdict(distance: float) -> str:
     if distance <= CLOSE:
         return "close to the expert"
     return "in part like the expert" if distance <= FAR else "not like the expert"
+
+
+def require_sizes(demonstrations: Demonstrations, env: Any) -> None:
+    """Raise UserError unless the steps of the demonstrations are as large as those of ``env``."""
+    n, p = env_sizes(env)
+    actions = demonstrations.actions
+    observed = demonstrations.observations.shape[-1]
+    acted = p if actions is None else actions.shape[-1]
+    if (observed, acted) != (n, p):
+        raise UserError(
+            f"the demonstrations have {observed} observations and "
+            f"{'no' if actions is None else acted} actions: the environment has {n} and {p}"
+        )
 
 
 def make_reference(

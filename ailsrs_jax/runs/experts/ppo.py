@@ -66,7 +66,14 @@ class _StopError(Exception):
 PPO_PRESETS = {
     # With more initial noise, Ant loses more by it than it earns by walking.
     "Ant-v5": PpoSettings(
-        num_env_steps=4_300_800, num_evaluations=42, num_evaluation_episodes=16, init_noise_std=0.35
+        num_env_steps=10_649_600,
+        num_evaluations=26,
+        num_evaluation_episodes=64,
+        num_envs=64,
+        unroll_length=256,
+        num_minibatches=32,
+        desired_kl=0.01,
+        init_noise_std=0.35,
     ),
     "HalfCheetah-v5": PpoSettings(
         num_env_steps=8_000_000, num_evaluations=160, num_evaluation_episodes=64, stop_at=4632.0

@@ -170,28 +170,3 @@ def test_the_readme_agrees_with_the_results_of_the_search() -> None:
         f"it calls {len(close)} *close to the expert*, which return {min(close):.2f} or more, and "
         f"one *in part like the expert*, which returns {max(in_part):.2f}."
     ) in README.read_text()
-
-
-def test_the_presets_are_the_best_of_the_candidates_held_back() -> None:
-    """docs/algorithms.md says so; on Walker2d a return counts at most as much as the expert's."""
-    sweeps = results.read_all(results.RESULTS)
-    page = (README.parent / "docs" / "algorithms.md").read_text()
-
-    def values(name: str) -> dict[str, np.ndarray]:
-        return {
-            group.series: group.values("normalized") for group in group_cells(sweeps[name].cells)
-        }
-
-    hopper = values("held_back")
-    assert max(hopper, key=lambda label: hopper[label].mean()) == "N = 16, penalty 10"
-    chosen, before = (plus_minus(hopper[f"N = {n}, penalty 10"], 2) for n in (16, 32))
-    assert f"16 directions for 120 iterations kept {chosen} of the expert." in page
-    assert f"32 directions for 60 iterations, kept {before}." in page
-
-    walker = values("held_back_walker2d")
-    bounded = {label: np.minimum(returns, 1.0).mean() for label, returns in walker.items()}
-    assert max(bounded, key=bounded.__getitem__) == "N = 32, 20 discriminator steps"
-    labels = [f"N = 32, {steps} discriminator steps" for steps in (20, 3)]
-    chosen, before = (f"{bounded[label]:.2f}" for label in labels)
-    assert f"20 steps kept {chosen} and the former 3 steps kept {before}." in page
-    assert " and ".join(plus_minus(walker[label], 2) for label in labels) in page

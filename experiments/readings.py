@@ -34,9 +34,8 @@ PAPER = {  # the returns of its clones, by the number of demonstrations
     WALKER: {10: 862.745, 30: 890.823},
     SWIMMER: {10: 352.95},
 }
-EXPERTS: dict[
-    str, dict[str, str | None]
-] = {  # the names of their files; Walker2d has no linear one
+# The names of their files; Walker2d has no linear one.
+EXPERTS: dict[str, dict[str, str | None]] = {
     "neural": {CHEETAH: None, HOPPER: None, WALKER: "paper", SWIMMER: None},
     "linear": {CHEETAH: "linear", HOPPER: "linear", SWIMMER: "linear"},
 }

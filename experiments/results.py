@@ -78,8 +78,7 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
   There is a gradient penalty and a memory of past policies, and the policy is the mean of the last
   iterates. On Hopper, Walker2d and Swimmer, half of an episode's score is its energy distance to
   the demonstrations. One claim is judged by Table I itself ([table_1](#table_1)). On Ant and
-  Humanoid the settings are [former ones](#ant_humanoid), and the expert of Ant was a former one,
-  too.
+  Humanoid ([ant_humanoid](#ant_humanoid)) the preset was a former one, and so was Ant's expert.
 - *Tuning.* The settings were chosen on other seeds, from 100 on, but with demonstrations of the
   same forty. Hopper's cycles and Swimmer's `keep_within` were chosen after seeds 0 to 9 had been
   seen, so AILSRS has seeds from 10 on there.
@@ -116,8 +115,8 @@ They may have been linear policies of random search, as the method's own are. Th
 are of such experts ([linear_experts](#linear_experts)), with five seeds; the columns *neural* are
 those of the claims above, with three. BC has no intercept, as in the paper. *With intercept* is the
 clone that AILSRS starts from. The paper's behaviour cloning is at 0.22 of the expert on HalfCheetah
-and at 0.37 on Hopper. Clones of linear experts come nearer to that than clones of neural ones, but
-on Swimmer only a clone of a neural expert is as good as the paper's."""
+and at 0.37 on Hopper. Clones of linear experts come nearer to that than clones of neural ones. On
+Swimmer it is the other way round."""
 READINGS_OF = {  # columns: the label and the sweep
     "BC, neural": ("BC", FIGURE_2),
     "BC, linear": ("BC, ten demonstrations", LINEAR),
@@ -134,9 +133,9 @@ demonstrations for which the paper gives a return; shares within {readings.CLOSE
 bold. The paper does not say whether its experts were linear, whether its demonstrations hold the
 actions before or after clipping, or how long Adam went on. None of these readings gives the paper's
 figures from thirty or forty demonstrations on HalfCheetah, Hopper and Walker2d, and under none does
-a clone improve as much with more data. From ten, clipped actions of linear experts come nearest on
-HalfCheetah and Hopper, and unclipped ones on Swimmer. `python -m experiments.readings` makes the
-clones; Walker2d has no linear expert."""
+a clone improve as much with more data. From ten, no reading comes near on HalfCheetah, Hopper and
+Swimmer at once. Walker2d has no linear expert. The clones are made by
+`python -m experiments.readings`."""
 
 PUBLISHED = """\
 Shares of the expert's return from one whole trajectory, in version 4 of the tasks. They are the

@@ -22,25 +22,18 @@ from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.data.policies import expert_path
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.show.sweep_report import markdown_table
-from experiments.evidence import CHEETAH, HOPPER, PAPER_EXPERTS, SWIMMER, WALKER
-from experiments.rules import short
+from experiments.evidence import CHEETAH, HOPPER, PAPER_CLONES, SWIMMER, WALKER
+from experiments.rules import close_to_paper, paper_share, short
 
 RESULTS = Path(__file__).with_suffix(".json")
 NUM_SEEDS = 3
 NUM_EPISODES = 20  # of each clone, on the C engine
-PAPER = {  # the returns of its clones, by the number of demonstrations
-    CHEETAH: {10: 1000.0, 40: 4120.0},
-    HOPPER: {10: 1200.0, 40: 3224.0},
-    WALKER: {10: 862.745, 30: 890.823},
-    SWIMMER: {10: 352.95},
-}
 # The names of their files; Walker2d has no linear one.
 EXPERTS: dict[str, dict[str, str | None]] = {
     "neural": {CHEETAH: None, HOPPER: None, WALKER: "paper", SWIMMER: None},
     "linear": {CHEETAH: "linear", HOPPER: "linear", SWIMMER: "linear"},
 }
 PASSES = {"5 passes": 5, "15 passes": 15, "50 passes": 50, "the exact solution": None}
-CLOSE = 0.1  # of the expert's return, as in the rules of the claims
 
 
 def main() -> None:
@@ -49,7 +42,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for expert, clipped in itertools.product(EXPERTS, (True, False)):
         for task, name in EXPERTS[expert].items():
-            for number in PAPER[task]:
+            for number in PAPER_CLONES[task]:
                 demonstrations = read_demonstrations(task, name, number, clipped)
                 whole = float(demonstrations.returns.mean())
                 for training, passes in PASSES.items():
@@ -96,20 +89,16 @@ def table() -> str:
         reading = row["expert"], row["clipped"], row["training"]
         where = row["env_id"], row["number"]
         means.setdefault(reading, {})[where] = float(np.mean(row["shares"]))
-    paper = {
-        (task, number): value / PAPER_EXPERTS[task]
-        for task, values in PAPER.items()
-        for number, value in values.items()
-    }
-    lines = [["the paper", "", "", *(f"{share:.2f}" for share in paper.values())]]
+    given = [(task, number) for task in PAPER_CLONES for number in PAPER_CLONES[task]]
+    lines = [["the paper", "", "", *(f"{paper_share(*where):.2f}" for where in given)]]
     for (expert, clipped, training), found in means.items():
         fields = []
-        for where, share in paper.items():
-            near = where in found and abs(found[where] - share) <= CLOSE
+        for where in given:
             text = f"{found[where]:z.2f}" if where in found else "–"
+            near = where in found and close_to_paper(found[where], *where)
             fields.append(f"**{text}**" if near else text)
         lines.append([expert, "clipped" if clipped else "unclipped", training, *fields])
-    columns = [f"{short(task)} {number}" for task, number in paper]
+    columns = [f"{short(task)} {number}" for task, number in given]
     return markdown_table(["expert", "actions", "Adam", *columns], lines)
 
 

@@ -24,6 +24,7 @@ from experiments.evidence import (
     HOPPER,
     MOST,
     NUMBERS,
+    PAPER_CLONES,
     PAPER_EXPERTS,
     REACHED,
     SWIMMER,
@@ -42,6 +43,16 @@ def short(task: str) -> str:
 def share(group: Group) -> float:
     """Return the mean return as a share of the expert's."""
     return float(group.values("return_mean").mean() / group.values("expert_return").mean())
+
+
+def paper_share(task: str, number: int) -> float:
+    """Return the share of the expert's return that the paper's behaviour cloning reaches."""
+    return PAPER_CLONES[task][number] / PAPER_EXPERTS[task]
+
+
+def close_to_paper(ours: float, task: str, number: int) -> bool:
+    """Whether a clone's share of the expert's return is within 0.1 of the paper's."""
+    return abs(ours - paper_share(task, number)) <= 0.1
 
 
 def score(group: Group) -> float:
@@ -92,12 +103,12 @@ steadier = partial(_compared, measure=spread, holds=operator.le)
 higher = partial(_compared, measure=score, holds=operator.gt)
 
 
-def cloned_to(evidence: Evidence, task: str, number: int, paper_return: float) -> Iterable[Check]:
-    """Check that BC's share of the expert's return is within 0.1 of the paper's."""
+def cloned_to(evidence: Evidence, task: str, number: int) -> Iterable[Check]:
+    """Check that BC's share of the expert's return is close to the paper's."""
     group = evidence.group("BC", task, number)
-    paper, ours = paper_return / PAPER_EXPERTS[task], share(group)
+    ours = share(group)
     value = f"{plus_minus(group.values('return_mean'))}, {ours:.2f} of the expert"
-    yield Check("", value, abs(ours - paper) <= 0.1)
+    yield Check("", value, close_to_paper(ours, task, number))
 
 
 def cloning_rises(evidence: Evidence, task: str) -> Iterable[Check]:

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress, t
 
-from tests.campaign.program import start
+from tests.campaign.program import ROOT, start
 from tests.campaign.trials import LONG, TRIALS
 
 # Anonymous memory is what the program has allocated. The rest of the resident memory is pages of
@@ -43,6 +43,9 @@ def campaign(directory: Path, hours: float, first: int, kinds: Sequence[str]) ->
     while time.time() < began + 3600 * hours:
         problem = trial(directory, number, counts, kinds)
         if problem is not None:
+            # The summary is for others, so it names no directory of this machine.
+            for place, name in ((directory, "DIR"), (sys.prefix, "PYTHON"), (ROOT, ".")):
+                problem = problem.replace(str(place), name)
             failures.append({"trial": number, "problem": problem[-2000:]})
         number += 1
         summary = {

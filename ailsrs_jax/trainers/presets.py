@@ -83,6 +83,15 @@ AILSRS: Presets = {
             "averaging": 0.5,
             "num_evaluation_episodes": 12,
         },
+        # No linear policy walks here. A cloned network does, and small changes keep it walking.
+        "Humanoid-v5": {
+            "policy": "mlp",
+            "num_iterations": 14,
+            "step_size": 0.002,
+            "final_step_size": 0.0005,
+            "noise_std": 0.003,
+            "num_evaluation_episodes": 16,
+        },
         # Swimmer's distances are so small that chance decides which is the smallest.
         "Swimmer-v5": {
             "num_iterations": 18,

@@ -62,3 +62,28 @@ def test_the_flag_is_set_before_jax_starts() -> None:
     )
     needed = versions.version("jax").startswith("0.10.")
     assert done.stdout.split() == ["False", f"{versions.SCHEDULER}=false" if needed else "None"]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be taken away here")
+def test_a_function_on_the_host_does_not_wait_for_ever_with_one_core() -> None:
+    """JAX copies its large arguments in another thread."""
+    program = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from ailsrs_jax.host_calls import host_call
+import jax
+total = jax.jit(lambda x: host_call(lambda x: x.sum(), jax.ShapeDtypeStruct((), x.dtype), x))
+twice = jax.jit(lambda x: 2.0 * x)
+sums = [total(twice(jax.numpy.ones(1_000_000))) for _ in range(200)]
+print(float(sum(sums)))
+"""
+    environment = {name: x for name, x in os.environ.items() if name != versions.THREADS}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert float(done.stdout) == 200 * 2_000_000

@@ -13,9 +13,9 @@ from flax import struct
 
 from ailsrs_jax.envs.physics import Perceptrons, Segments, Trajectories
 from ailsrs_jax.envs.physics.base import segment_types, trajectory_types
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.errors import UserError, refusing
 from ailsrs_jax.host_calls import host_call, zeros
+from ailsrs_jax.versions import available_cores
 from ailsrs_jax.workers.episode import Perceptron, Request
 from ailsrs_jax.workers.pool import Pool
 from ailsrs_jax.workers.process import ProcessWorker

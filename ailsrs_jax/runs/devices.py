@@ -9,12 +9,12 @@ from jax.sharding import Mesh
 
 from ailsrs_jax.envs import Env
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.errors import UserError
 from ailsrs_jax.files import cache_directory
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.sharing import AXIS
+from ailsrs_jax.versions import available_cores
 
 # Simulations of a CPU core at a time. Larger batches use its vector units better. Smaller ones
 # leave fewer cores idle at the end of an iteration, when few episodes are left (measured by

@@ -11,7 +11,6 @@ from typing import Any, TypeGuard
 import jax
 import numpy as np
 
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import TASKS
 from ailsrs_jax.errors import InUseError, UserError, one_line
 from ailsrs_jax.files import read_json_if_there, write_atomically, write_json
@@ -23,6 +22,7 @@ from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, Curve, read_table, share_of
 from ailsrs_jax.trainers.parts.settings import as_text
+from ailsrs_jax.versions import available_cores
 
 ROW_FILE = "row.json"  # in the directory of a cell that has finished or failed
 

@@ -6,9 +6,9 @@ import jax
 import pytest
 from brax.envs.wrappers.training import EpisodeWrapper
 
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.runs.devices import CPU_BATCH_SIZE, choose_simulator, compiler_options
+from ailsrs_jax.versions import available_cores
 from tests.point_mass import PointMass
 
 REPORT = """

@@ -1,7 +1,6 @@
 """MuJoCo's C engine with one thread per core, called from inside a jitted program."""
 
 import copy
-import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,16 +12,10 @@ import numpy as np
 
 from ailsrs_jax.envs.physics.base import PhysicsState
 from ailsrs_jax.envs.physics.quiet import without_warnings
+from ailsrs_jax.versions import available_cores
 
 Readings = dict[str, np.ndarray]  # float32 (..., *shape) of each field of mjData that is read
 HostState = tuple[np.ndarray, np.ndarray, np.ndarray, Readings]  # the fields of PhysicsState
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use; a container can restrict them."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class MujocoPhysics:

@@ -21,9 +21,9 @@ from ailsrs_jax.envs.physics import (
     make_physics,
 )
 from ailsrs_jax.envs.physics.base import STATE, all_within, read
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.model_file import load_model
 from ailsrs_jax.errors import UserError
+from ailsrs_jax.versions import available_cores
 
 if TYPE_CHECKING:
     from ailsrs_jax.envs.physics.episode_runner import EpisodeRunner

@@ -12,11 +12,11 @@ import jax
 import numpy as np
 
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.physics.quiet import without_warnings
 from ailsrs_jax.envs.registry import short_name
 from ailsrs_jax.runs.policies import still_policy
 from ailsrs_jax.trainers.parts.rollout import Simulator
+from ailsrs_jax.versions import available_cores
 
 SECONDS = 3.0  # how long a configuration of a vector environment is stepped
 STEPS = 64_000  # in an epoch of Brax, whose speed does not depend on the episodes' length

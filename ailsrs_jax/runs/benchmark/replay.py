@@ -9,11 +9,11 @@ import mujoco.rollout
 import numpy as np
 
 from ailsrs_jax.envs.physics import InitialState, PhysicsState
-from ailsrs_jax.envs.physics.mujoco_engine import available_cores
 from ailsrs_jax.envs.tasks.mujoco_task import MujocoTask
 from ailsrs_jax.runs.iterations import compiled
 from ailsrs_jax.trainers.parts.rollout import Simulator
 from ailsrs_jax.trainers.parts.sharing import shared
+from ailsrs_jax.versions import available_cores
 
 
 def bare(

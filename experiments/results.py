@@ -74,8 +74,9 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
   from a clone with an intercept. Observations are in units of the expert's standard deviation.
   There is a gradient penalty and a memory of past policies, and the policy is the mean of the last
   iterates. On Hopper, Walker2d and Swimmer, half of an episode's score is its energy distance to
-  the demonstrations. One claim is judged by Table I itself ([table_1](#table_1)). On Ant and
-  Humanoid ([ant_humanoid](#ant_humanoid)) the preset was a former one, and so was Ant's expert.
+  the demonstrations. One claim is judged by Table I itself ([table_1](#table_1)). On Humanoid
+  ([ant_humanoid](#ant_humanoid)) the claims are judged by linear policies with the settings of any
+  task, because the preset's policy is a network there.
 - *Tuning.* The settings were chosen on other seeds, from 100 on, but with demonstrations of the
   same forty. Hopper's cycles and Swimmer's `keep_within` were chosen after seeds 0 to 9 had been
   seen, so AILSRS has seeds from 10 on there.

@@ -23,8 +23,8 @@ SECONDS, SIZE = 4.0, 160
 INTRODUCTION = """\
 # Gallery
 
-These policies are linear, and AILSRS trained them with the preset `tuned`. Of each task this page
-shows the seed with the median score. On the left is the expert, a neural network, and on the right
+AILSRS trained these policies with the preset `tuned`. They are linear, and Humanoid's is a network.
+Of each task this page shows the seed with the median score. On the left is the expert, a neural network, and on the right
 the policy, from the same initial state. The films are in real time. A score of 0 is a random policy
 and 1 is the expert. The scores are of 100 episodes in Gymnasium, from the tables of the
 [results](../experiments/RESULTS.md).

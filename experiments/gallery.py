@@ -24,10 +24,10 @@ INTRODUCTION = """\
 # Gallery
 
 AILSRS trained these policies with the preset `tuned`. They are linear, and Humanoid's is a network.
-Of each task this page shows the seed with the median score. On the left is the expert, a neural network, and on the right
-the policy, from the same initial state. The films are in real time. A score of 0 is a random policy
-and 1 is the expert. The scores are of 100 episodes in Gymnasium, from the tables of the
-[results](../experiments/RESULTS.md).
+Of each task this page shows the seed with the median score. On the left is the expert, a neural
+network, and on the right the policy, from the same initial state. The films are in real time. A
+score of 0 is a random policy and 1 is the expert. The scores are of 100 episodes in Gymnasium, from
+the tables of the [results](../experiments/RESULTS.md).
 
 A policy is a small file: `ail.load_policy("hopper.npz")` needs only NumPy to act. On the site that
 `make docs` builds where `npm` is installed, you can <a href="play.html">push Hopper yourself</a>.

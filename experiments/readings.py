@@ -28,10 +28,10 @@ from experiments.rules import close_to_paper, paper_share, short
 RESULTS = Path(__file__).with_suffix(".json")
 NUM_SEEDS = 3
 NUM_EPISODES = 20  # of each clone, on the C engine
-# The names of their files; Walker2d has no linear one.
+# The names of their files.
 EXPERTS: dict[str, dict[str, str | None]] = {
     "neural": {CHEETAH: None, HOPPER: None, WALKER: "paper", SWIMMER: None},
-    "linear": {CHEETAH: "linear", HOPPER: "linear", SWIMMER: "linear"},
+    "linear": dict.fromkeys((CHEETAH, HOPPER, WALKER, SWIMMER), "linear"),
 }
 PASSES = {"5 passes": 5, "15 passes": 15, "50 passes": 50, "the exact solution": None}
 

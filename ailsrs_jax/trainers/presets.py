@@ -83,7 +83,7 @@ AILSRS: Presets = {
             "averaging": 0.5,
             "num_evaluation_episodes": 12,
         },
-        # No linear policy walks here. A cloned network does, and small changes keep it walking.
+        # Linear policies fall in most episodes. A cloned network walks, if the changes are small.
         "Humanoid-v5": {
             "policy": "mlp",
             "num_iterations": 14,

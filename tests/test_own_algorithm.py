@@ -9,6 +9,7 @@ import pytest
 
 import ailsrs_jax as ail
 from ailsrs_jax.cli.main import main
+from ailsrs_jax.sweeps.spec import expand
 from ailsrs_jax.trainers.algorithms import find_algorithm
 from tests.point_mass import PointMass
 from tests.sweeps.toy_sweep import POINT_MASS, TINY
@@ -77,6 +78,11 @@ def test_it_is_in_a_sweep(my_file: Path) -> None:
         "settings": SMALL,
         "grid": [grid],
     }
+    cells = expand(spec | {"seeds": [0, 1]}).cells
+    # Nobody knows what its trainer makes of settings, so only seeds are trained together.
+    assert [cell.program == cells[0].program for cell in cells] == [True, True, False, False]
+    drawn = expand(spec | {"seeds": [0, 1], "num_trajectories": 1, "draw_from": 2}).cells
+    assert len({cell.program for cell in drawn}) == 4
     rows = ail.sweep(spec, "sweep")
     assert [row["status"] for row in rows] == ["done", "done"]
     assert rows[0]["label"] == "My AILSRS"

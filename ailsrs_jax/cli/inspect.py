@@ -85,7 +85,7 @@ def inspect(
     if num_trajectories is not None:
         command += f" --num-trajectories {num_trajectories}"
     if "linear_clone_return" not in found.facts:
-        command += " --set discriminator_sees=state behavior_cloning_start=false"
+        command += " --set policy=linear discriminator_sees=state behavior_cloning_start=false"
     terminal.json({"env_id": env_id, **found.facts, "problems": found.problems, "try": command})
     if not terminal.as_json:
         terminal.console.print(_table(found, env_id))

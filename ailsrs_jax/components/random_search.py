@@ -42,17 +42,19 @@ def step(
             and counts as the lowest finite one, so the step leads away from its policy.
         returns_minus: ``(N,)`` returns of ``M − ν δ_i``.
         step_size: α.
-        num_top_directions: b; the first of equal directions are kept, so exactly b are used.
+        num_top_directions: b; 0 stands for all. The first of equal directions are kept, so exactly
+            b are used.
         scale_by_std: divide by σ_R, the standard deviation of the 2b returns used. If they differ
             by no more than rounding, the weights stay.
 
     Returns:
         The new weights; the old ones if new ones are not finite.
     """
+    num_used = num_top_directions or len(deltas)
     pairs = jnp.stack([returns_plus, returns_minus])
     finite = jnp.isfinite(pairs)
     # NaN would be ranked first.
-    _, top = jax.lax.top_k(jnp.max(jnp.where(finite, pairs, -jnp.inf), 0), num_top_directions)
+    _, top = jax.lax.top_k(jnp.max(jnp.where(finite, pairs, -jnp.inf), 0), num_used)
     lowest = jnp.min(pairs, where=finite, initial=jnp.inf)
     pairs = jnp.where(finite, pairs, jnp.where(finite.any(), lowest, 0.0))
     (returns_plus, returns_minus), deltas = pairs[:, top], deltas[top]
@@ -63,4 +65,4 @@ def step(
         std = jnp.std(used)
         differ = std > MIN_RELATIVE_STD * jnp.max(jnp.abs(used))
         gradient = jnp.where(differ, gradient / jnp.where(differ, std, 1.0), 0.0)
-    return finite_or(weights + step_size / num_top_directions * gradient, weights)
+    return finite_or(weights + step_size / num_used * gradient, weights)

@@ -1,4 +1,4 @@
-"""Gymnasium's MuJoCo v5 tasks as Brax environments, on two physics engines."""
+"""Gymnasium's MuJoCo v5 tasks as Brax environments, on three physics engines."""
 
 import contextlib
 import io

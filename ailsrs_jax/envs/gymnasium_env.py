@@ -89,13 +89,16 @@ class GymnasiumEnv:
         nowhere = jnp.full((len(seeds), self.observation_size), jnp.nan)
         return GymnasiumStart(jnp.asarray(seeds, jnp.int32), nowhere)
 
-    def state_at(self, observation: jax.Array) -> GymnasiumStart:
+    def state_at(self, observation: jax.Array, key: jax.Array | None = None) -> GymnasiumStart:
         """Return the state in which ``observation (n,)`` is made.
+
+        ``key`` draws what else is random there. Without it, this is always the same.
 
         Only environments with ``sets_observations`` can start there; see
         :func:`~ailsrs_jax.workers.episode.find_setter`.
         """
-        return GymnasiumStart(jnp.zeros((), jnp.int32), observation)
+        seed = jnp.zeros((), jnp.int32) if key is None else self.draw_start(key).seed
+        return GymnasiumStart(seed, observation)
 
     def run_episodes(
         self,

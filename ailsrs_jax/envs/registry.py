@@ -79,8 +79,9 @@ def make_env(name: str, physics: str = "auto", **flags: Any) -> Env:
     Args:
         name: a Gymnasium id or its short name, ``Hopper-v5`` or ``hopper``; or your own task as
             ``module:attribute``, a class or function that returns an environment.
-        physics: ``mjx``, ``mujoco``, or ``auto``: MJX where JAX has an accelerator, otherwise
-            MuJoCo's C engine. Your own task receives it if it has a parameter ``physics``.
+        physics: ``mjx``, ``mujoco``, ``warp``, or ``auto``: MJX where JAX has an accelerator,
+            otherwise MuJoCo's C engine. Your own task receives it if it has a parameter
+            ``physics``.
         flags: the constructor flags of the task.
 
     Raises:

@@ -4,7 +4,6 @@ import dataclasses
 import logging
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ailsrs_jax.components.policy import repeated
@@ -173,4 +172,6 @@ def _open(env: Env | str, physics: str) -> Env:
 
 def _resets(env: Env, seed: int, num_episodes: int) -> GymnasiumStart | None:
     """Return resets by seed, which give the same episodes to anybody, if Gymnasium takes them."""
-    return env.resets(seed + jnp.arange(num_episodes)) if isinstance(env, GymnasiumEnv) else None
+    if not isinstance(env, GymnasiumEnv):
+        return None
+    return env.resets(((seed + np.arange(num_episodes)) % 2**31).tolist())

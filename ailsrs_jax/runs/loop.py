@@ -25,7 +25,7 @@ from ailsrs_jax.runs.stacking import stack_trainers
 from ailsrs_jax.runs.storage.checkpoint import Checkpoints
 from ailsrs_jax.runs.storage.config import installed_versions
 from ailsrs_jax.runs.storage.directory import claimed
-from ailsrs_jax.runs.storage.journal import Journal, Result
+from ailsrs_jax.runs.storage.journal import RESULT_FILE, Journal, Result
 from ailsrs_jax.runs.storage.metrics import IterationReport, earlier_divergence
 from ailsrs_jax.runs.storage.policies import MILESTONES, by_seed
 from ailsrs_jax.runs.storage.processes import anywhere, is_first_process, together
@@ -172,6 +172,11 @@ def execute(
     ]
     if checkpoints is None and outputs[0] is not None:
         checkpoints = outputs[0] / "checkpoints"
+        if resume is True and (outputs[0] / RESULT_FILE).exists() and not checkpoints.exists():
+            raise UserError(
+                f"nothing to resume: {outputs[0]} has a result but no {checkpoints.name}; in a "
+                "sweep, continue the sweep; else train again in another directory"
+            )
 
     def init(seed: jax.Array, part: Any) -> Any:
         return make_trainer(part).init(jax.random.key(seed))

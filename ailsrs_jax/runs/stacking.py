@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ailsrs_jax.own_code import is_own
 from ailsrs_jax.runs.plan import Plan
 from ailsrs_jax.trainers.parts.reference import Reference
 from ailsrs_jax.trainers.parts.trainer import Trainer
@@ -18,9 +19,13 @@ def stack_key(plan: Plan) -> Hashable:
 
     It has all settings except for the real-valued ones. Of those it only says whether they are 0,
     because a term with weight 0 is left out of the program. Demonstrations may differ in the number
-    of episodes but not in their length.
+    of episodes but not in their length. Runs of your own algorithm may differ in nothing but the
+    seed, because nobody knows what else its trainer has made of settings and demonstrations.
     """
     config, demonstrations = plan.config, plan.data.demonstrations
+    if is_own(config.algorithm):
+        everything = config.settings, config.demonstrations_sha256
+        return config.algorithm, config.env_id, config.physics, *everything
     settings = tuple(
         (name, value == 0 if isinstance(value, float) else value)
         for name, value in vars(config.settings).items()
@@ -56,6 +61,9 @@ def stack_trainers(trainers: Sequence[Trainer]) -> tuple[Callable[[Any], Trainer
             most = max(len(reference.lengths) for reference in references)
             padded = [_pad(reference, most) for reference in references]
             arguments["reference"] = jax.tree.map(lambda *xs: jnp.stack(xs), *padded)
+
+    if not (arguments["settings"] or "reference" in arguments):
+        return lambda _: template, {}
 
     def make(part: Any) -> Trainer:
         changes = {"settings": dataclasses.replace(template.settings, **part["settings"])}

@@ -28,6 +28,7 @@ class TrainingData(NamedTuple):
     infer: Callable[[], Demonstrations] | None = None
     source: Source | None = None
     sha256: str | None = None  # of the arrays
+    source_sha256: str | None = None  # the same before they are drawn and subsampled
     num_trajectories: int | None = None
     subsample: int | None = None
     time_limit: int | None = None  # of all demonstrations of the source, in environment steps
@@ -52,6 +53,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
     if number is not None:
         demonstrations = demonstrations.first(number)
     expert_returns = np.asarray(demonstrations.returns)
+    source_sha256 = content_hash(demonstrations)
     if spec.draw_from is not None:
         order = np.random.default_rng(spec.seeds[0]).permutation(spec.draw_from)
         drawn = order[: spec.num_trajectories]
@@ -77,6 +79,7 @@ def read_training_data(spec: RunSpec, env: Env, env_id: str, engine: str) -> Tra
         infer if unknown and starts_at_observations(env) else None,
         source,
         content_hash(given),
+        source_sha256,
         given.num_trajectories,
         spec.subsample,
         demonstrations.time_limit,

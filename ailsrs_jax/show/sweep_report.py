@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ailsrs_jax.files import write_atomically
+from ailsrs_jax.runs.storage.metrics import share_of
 from ailsrs_jax.show.figures import save_figures, split
 from ailsrs_jax.show.model_card import escape_markdown
-from ailsrs_jax.sweeps.results import NOT_RUN, Curve, SweepResults, read_results, share_of
+from ailsrs_jax.sweeps.results import NOT_RUN, Curve, SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import (
     Estimate,
     Group,

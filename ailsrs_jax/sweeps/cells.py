@@ -41,7 +41,7 @@ class Cell:
             UserError: the run is impossible here, or its demonstrations have changed.
         """
         made = plan(self.spec)
-        if self.demonstrations_sha256 not in (None, made.config.demonstrations_sha256):
+        if self.demonstrations_sha256 not in (None, made.data.source_sha256):
             raise UserError(
                 f"{self.spec.demonstrations} has changed since the sweep began: restore the file, "
                 "or choose another output directory"

@@ -63,15 +63,20 @@ def estimate(units: Sequence[Sequence[Cell]]) -> list[CostEstimate]:
 
 def estimated_env_steps(cell: Cell) -> int:
     """Return the maximum number of environment steps in the training of a cell."""
+    return int(_settings(cell).num_iterations * _steps_per_iteration(cell))
+
+
+def _steps_per_iteration(cell: Cell) -> int:
+    """Return what the settings say; your own may say nothing, and then it is an episode."""
     settings = _settings(cell)
-    return int(settings.num_iterations * settings.steps_per_iteration)
+    return int(getattr(settings, "steps_per_iteration", settings.episode_length))
 
 
 def _memory_bytes(cell: Cell) -> int:
     """Apply the formula of docs/scaling.md for one device, and add the demonstrations."""
     spec, settings = cell.spec, _settings(cell)
     n, p = env_sizes(open_env(spec.env, spec.physics).env)
-    steps = settings.steps_per_iteration // getattr(settings, "updates_per_iteration", 1)
+    steps = _steps_per_iteration(cell) // getattr(settings, "updates_per_iteration", 1)
     num_policies = getattr(settings, "num_perturbed", 2 * getattr(settings, "num_directions", 0))
     numbers = steps * (n + p + 1) + num_policies * n * p
     running = getattr(settings, "standardize_with", "") == "running"

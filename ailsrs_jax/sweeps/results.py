@@ -29,7 +29,9 @@ class CellResult:
     settings: str  # settings that differ from the preset, as NAME=VALUE;NAME=VALUE
     demonstrations: str  # empty for those of the shipped expert
     num_trajectories: int | None  # None for an algorithm that learns from the reward
+    draw_from: int | None  # the demonstrations are drawn from so many; None: they are the first
     subsample: int  # every subsample-th step of the demonstrations is used
+    states_only: bool  # without the actions of the demonstrations
     seed: int
     physics: str
     iterations: float
@@ -117,11 +119,6 @@ _MEASURED = (
 )
 
 
-def share_of(expert_return: float, share: float) -> float:
-    """Return the threshold of a ``share`` of an expert's return, which may be negative."""
-    return expert_return - (1.0 - share) * abs(expert_return)
-
-
 def read_results(directory: Path) -> SweepResults:
     """Read the three tables in the directory of a sweep, or of committed results.
 
@@ -175,6 +172,8 @@ def _parse(kind: type[RowT], where: str, row: dict[str, str]) -> RowT:
 def _value(where: str, name: str, text: str, kind: Any) -> str | float | None:
     if kind is str:
         return text
+    if kind is bool:
+        return text == "True"
     number = _number(where, name, text)
     if kind is float:
         return number

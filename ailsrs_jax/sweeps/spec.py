@@ -13,7 +13,7 @@ from typing import Any
 from ailsrs_jax.envs.registry import require_harmless
 from ailsrs_jax.errors import UserError, did_you_mean, refusing, requirement
 from ailsrs_jax.files import read_small
-from ailsrs_jax.own_code import require_allowed
+from ailsrs_jax.own_code import is_own, require_allowed
 from ailsrs_jax.runs.plan import plan
 from ailsrs_jax.runs.spec import RunSpec
 from ailsrs_jax.runs.stacking import stack_key
@@ -163,7 +163,13 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
     name = _name(spec)
     physics = planned.spec.physics  # resolved, so that "auto" means the same on all machines
     is_expert = config.source is None or config.source.kind == "expert"
-    differ = is_expert or spec.draw_from is not None  # on other machines, or for other seeds
+    # Each seed draws its own demonstrations, and your own algorithm is not stacked over those.
+    is_alone = is_own(config.algorithm) and spec.draw_from is not None
+
+    def program(seed: int) -> str:
+        key = (stack_key(planned), seed) if is_alone else stack_key(planned)
+        return hashlib.sha256(repr(key).encode()).hexdigest()[:12]
+
     return [
         Cell(
             name=f"{name}-seed{seed}",
@@ -171,8 +177,8 @@ def _check(asked: RunSpec, label: str | None) -> list[Cell]:
             spec=dataclasses.replace(spec, seeds=(seed,), physics=physics),
             all_settings=dataclasses.asdict(config.settings),
             engine=config.physics,
-            program=hashlib.sha256(repr(stack_key(planned)).encode()).hexdigest()[:12],
-            demonstrations_sha256=None if differ else config.demonstrations_sha256,
+            program=program(seed),
+            demonstrations_sha256=None if is_expert else planned.data.source_sha256,
         )
         for seed in asked.seeds
     ]

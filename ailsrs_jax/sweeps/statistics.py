@@ -6,6 +6,7 @@ random state, needs the same number of seeds on every task, and does not import 
 """
 
 import dataclasses
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -67,9 +68,9 @@ def series_names(cells: Iterable[CellResult]) -> dict[str, str]:
     """Return the name of each cell's series, by the cell's name.
 
     The name is the label, followed in brackets by whatever else is needed to tell series apart. The
-    algorithm is added if cells with this label differ in it on one task. Preset, settings, engine,
-    demonstrations and subsampling are added if cells with this label differ in them on one task
-    with the same number of demonstrations.
+    algorithm is added if cells with this label differ in it on one task. Preset, settings, engine
+    and whatever else is known of the demonstrations are added if cells with this label differ in
+    them on one task with the same number of demonstrations.
     """
     cells = list(cells)
     variants: dict[tuple[Any, ...], set[tuple[str, ...]]] = defaultdict(set)
@@ -94,7 +95,9 @@ def _variant(cell: CellResult) -> tuple[str, ...]:
         cell.settings.replace(";", ", ") or "as preset",
         cell.physics,
         cell.demonstrations or "shipped expert",
+        f"drawn from {cell.draw_from}" if cell.draw_from else "the first",
         f"subsample={cell.subsample}",
+        "states alone" if cell.states_only else "with actions",
     )
 
 
@@ -152,9 +155,16 @@ def _measured(groups: Iterable[Group]) -> dict[str, list[Group]]:
 def shared_scores(
     mine: Iterable[Group], others: Iterable[Group]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the finite scores of two series, in pairs, under each condition that they share."""
-    there = {group.condition: group for group in others}
-    pairs = [scores([one, there[one.condition]]) for one in mine if one.condition in there]
+    """Return the finite scores of two series, in pairs, under each condition that they share.
+
+    A series without demonstrations was measured under every condition of its tasks.
+    """
+    pairs = [
+        scores([one, other])
+        for one, other in itertools.product(mine, list(others))
+        if one.env_id == other.env_id
+        and (one.condition == other.condition or None in (*one.condition, *other.condition))
+    ]
     return [(pair[0], pair[1]) for pair in pairs if len(pair) == 2]
 
 

@@ -1,13 +1,16 @@
 """Train the cells of a sweep: which are trained together, and what is left to do."""
 
+import contextlib
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.own_code import allow
 from ailsrs_jax.runs.loop import execute
+from ailsrs_jax.runs.storage.directory import locked
 from ailsrs_jax.runs.storage.journal import Result
 from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
@@ -125,7 +128,8 @@ def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list
         programs.setdefault(cell.program, []).append(cell)
     units: list[Unit] = []
     for cells in programs.values():
-        size = 1 if cells[0].engine == "mujoco" else max_parallel
+        in_jax = cells[0].engine not in ("mujoco", GymnasiumEnv.backend)  # which use all cores
+        size = max_parallel if in_jax else 1
         units += [tuple(cells[start : start + size]) for start in range(0, len(cells), size)]
     costs = [sum(map(estimated_env_steps, unit)) for unit in units]
     loads, mine = [0] * count, []
@@ -238,37 +242,41 @@ def run_unit(
         return  # another process has finished them meanwhile
     stack = stack_directory(output, unit)
     for group in split_unit(unit, unfinished, output):
-        # Cells of a stack that are finished still belong to its checkpoint.
-        waiting = [cell for cell in group if not is_done(output, cell)]
-        if not waiting:
-            continue
-        if watch is not None:
-            watch.begin(waiting)
         directories = [output / "cells" / cell.name for cell in group]
         outcomes: Sequence[Result | Exception]
-        try:
-            plans = [cell.make_plan() for cell in group]
-            for directory in directories:
-                if not (directory / "config.json").exists():  # it has failed before it began
-                    (directory / ROW_FILE).unlink(missing_ok=True)
-            outcomes = execute(
-                plans,
-                directories,
-                checkpoints=stack / "checkpoints" if len(group) > 1 else None,
-                resume="where begun",
-                track=track,
-                watch=watch,
-                stop=stop,
-            )
-        except Exception as error:  # of any kind, because the other cells can still be trained
-            outcomes = [error] * len(group)
-        for cell, directory, outcome in zip(group, directories, outcomes, strict=True):
-            if cell in waiting:
-                if stop():  # an evaluation takes time
-                    raise KeyboardInterrupt
-                row = finish(cell, outcome, directory, episodes)
+        with contextlib.ExitStack() as held:
+            waiting: Sequence[Cell] = group
+            try:
+                if len(group) > 1:  # to the last row, because another process would begin again
+                    held.enter_context(locked(stack))
+                # Cells of a stack that are finished still belong to its checkpoint.
+                waiting = [cell for cell in group if not is_done(output, cell)]
+                if not waiting:
+                    continue
                 if watch is not None:
-                    watch.end(row)
+                    watch.begin(waiting)
+                plans = [cell.make_plan() for cell in group]
+                for directory in directories:
+                    if not (directory / "config.json").exists():  # it has failed before it began
+                        (directory / ROW_FILE).unlink(missing_ok=True)
+                outcomes = execute(
+                    plans,
+                    directories,
+                    checkpoints=stack / "checkpoints" if len(group) > 1 else None,
+                    resume="where begun",
+                    track=track,
+                    watch=watch,
+                    stop=stop,
+                )
+            except Exception as error:  # of any kind, because the other cells can still be trained
+                outcomes = [error] * len(group)
+            for cell, directory, outcome in zip(group, directories, outcomes, strict=True):
+                if cell in waiting:
+                    if stop():  # an evaluation takes time
+                        raise KeyboardInterrupt
+                    row = finish(cell, outcome, directory, episodes)
+                    if watch is not None:
+                        watch.end(row)
     if not pending([unit], output):
         shutil.rmtree(stack, ignore_errors=True)  # each cell has its own checkpoint now
 

@@ -17,10 +17,10 @@ from ailsrs_jax.files import read_json_if_there, write_atomically, write_json
 from ailsrs_jax.runs.demonstrate import expert_demonstrations
 from ailsrs_jax.runs.evaluation import evaluate, evaluate_random
 from ailsrs_jax.runs.storage.journal import Result
-from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics
+from ailsrs_jax.runs.storage.metrics import as_csv, read_metrics, share_of
 from ailsrs_jax.runs.training_data import NUM_TRAJECTORIES
 from ailsrs_jax.sweeps.cells import Cell
-from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, Curve, read_table, share_of
+from ailsrs_jax.sweeps.results import COLUMNS, DONE, NOT_RUN, Curve, read_table
 from ailsrs_jax.trainers.parts.settings import as_text
 from ailsrs_jax.versions import available_cores
 
@@ -111,8 +111,8 @@ def cell_columns(cell: Cell) -> dict[str, Any]:
     """Return the columns of ``results.csv`` that are known before a cell runs."""
     spec = cell.spec
     settings = (f"{name}={as_text(value)}" for name, value in spec.settings.items())
-    same = ("algorithm", "preset", "demonstrations", "num_trajectories", "subsample")
-    return {name: getattr(spec, name) for name in same} | {
+    same = ("algorithm", "preset", "demonstrations", "num_trajectories", "draw_from")
+    return {name: getattr(spec, name) for name in (*same, "subsample", "states_only")} | {
         "cell": cell.name,
         "label": cell.label,
         "env_id": spec.env,

@@ -18,7 +18,13 @@ from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.episodes import with_evaluation
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
-from ailsrs_jax.trainers.parts.settings import Positive, Signed, require_countable, validate
+from ailsrs_jax.trainers.parts.settings import (
+    FromZero,
+    Positive,
+    Signed,
+    require_countable,
+    validate,
+)
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
 
@@ -28,7 +34,7 @@ class ArsSettings:
 
     num_iterations: int = 300
     num_directions: int = 32
-    num_top_directions: int = 4
+    num_top_directions: FromZero = 4  #: 0: all, as in BRS
     step_size: Positive = 0.02
     noise_std: Positive = 0.03
     episode_length: int = 1000
@@ -140,7 +146,7 @@ def _basic(changes: presets.Changes) -> presets.Changes:
     settings = dataclasses.replace(ArsSettings(), **changes)
     return {
         **changes,
-        "num_top_directions": settings.num_directions,
+        "num_top_directions": 0,
         "step_size": settings.step_size / 100.0,
         "scale_by_std": False,
         "normalize_observations": False,

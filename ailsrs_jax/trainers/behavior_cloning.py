@@ -18,7 +18,12 @@ from ailsrs_jax.envs.interface import action_range
 from ailsrs_jax.trainers import presets
 from ailsrs_jax.trainers.parts.reference import Reference, make_reference, require_sizes
 from ailsrs_jax.trainers.parts.rollout import Simulator, as_simulator
-from ailsrs_jax.trainers.parts.settings import Positive, PositiveUpToOne, validate
+from ailsrs_jax.trainers.parts.settings import (
+    Positive,
+    PositiveUpToOne,
+    require_countable,
+    validate,
+)
 from ailsrs_jax.trainers.parts.trainer import Algorithm, Metrics, Trainer
 
 
@@ -170,6 +175,7 @@ def make_behavior_cloning(
             hold no actions.
     """
     validate(settings)
+    require_countable(settings.steps_per_iteration)
     simulator = as_simulator(env)
     require_sizes(demonstrations, simulator.env)
     expert = make_reference(demonstrations, settings.episode_length, settings.num_distance_samples)

@@ -88,6 +88,8 @@ def make(name: str | Callable[[], gymnasium.Env], render_mode: str | None = None
     space = env.action_space
     if not isinstance(space, Box) or not np.issubdtype(space.dtype, np.floating):
         raise TypeError(f"its actions are {space}: they must be a Box of real numbers")
+    if not space.is_bounded():
+        raise TypeError(f"its actions are {space}: give them a finite range")
     return env
 
 
@@ -122,7 +124,7 @@ def run(env: Any, request: Request) -> Episode:
         action = np.ravel(policy(observation))
         action = action + noise[len(rewards)] if len(noise) else action
         action = np.clip(action, low, high)
-        following, reward, terminated, truncated, diverged = step(env, action)
+        following, reward, terminated, truncated, diverged = step(env, observation, action)
         if not diverged:
             observations.append(observation)
             actions.append(action)
@@ -139,11 +141,17 @@ def run(env: Any, request: Request) -> Episode:
     )
 
 
-def step(env: Any, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, bool]:
-    """Apply ``action (p,)``: return what ``env.step`` does, and whether that is not finite."""
+def step(
+    env: Any, observation: np.ndarray, action: np.ndarray
+) -> tuple[np.ndarray, float, bool, bool, bool]:
+    """Apply ``action (p,)`` where ``observation (n,)`` was made.
+
+    Return what ``env.step`` does, and whether a number of the step is not finite.
+    """
     following, reward, terminated, truncated, _ = env.step(action.reshape(env.action_space.shape))
+    following = np.array(following)  # a copy, because it may be the state that the next step moves
     # Comparisons with NaN are false.
-    finite = abs(action) <= LARGEST, abs(following) <= LARGEST, abs(reward) <= LARGEST
+    finite = (np.abs(x) <= LARGEST for x in (observation, action, following, reward))
     return following, reward, terminated, truncated, not all(map(np.all, finite))
 
 
@@ -151,7 +159,7 @@ def begin(env: Any, seed: int, start: np.ndarray | None = None) -> np.ndarray:
     """Start an episode, at a reset or where ``start (n,)`` is observed; return the observation."""
     observation = env.reset(seed=seed)[0]
     if start is None:
-        return np.asarray(observation)
+        return np.array(observation)  # see step()
     find_setter(env)(start)  # type: ignore[misc]
     return np.asarray(start, float)
 

@@ -7,6 +7,7 @@ from typing import IO, Any
 
 import ray
 
+from ailsrs_jax.errors import refusing
 from ailsrs_jax.workers.segment import Environments
 from ailsrs_jax.workers.worker import Failure, attempt
 
@@ -32,7 +33,10 @@ class RayWorker:
             with warnings.catch_warnings():
                 # Ray forks only to start its own programs, which do not use JAX.
                 warnings.filterwarnings("ignore", message=".*os.fork")
-                ray.init(log_to_driver=False, logging_level=logging.ERROR, include_dashboard=False)
+                with refusing("cannot connect to a Ray cluster"):
+                    ray.init(
+                        log_to_driver=False, logging_level=logging.ERROR, include_dashboard=False
+                    )
         self._actor: Any = ray.remote(num_cpus=1)(_Actor).remote(name)
         self.send(None)
 
@@ -44,7 +48,9 @@ class RayWorker:
         """Wait for the answer; None stands for a worker that has died."""
         try:
             return ray.get(self._pending)
-        except ray.exceptions.RayActorError:
+        except ray.exceptions.RayTaskError:
+            raise
+        except ray.exceptions.RayError:  # also if the answer was lost with its machine
             return None
 
     def kill(self) -> None:

@@ -82,7 +82,7 @@ class Environments:
         env = make(self._name) if running is None else running.env
         observation = begin(env, request.seed)
         for action in request.actions:
-            observation, *_ = step(env, action)
+            observation, *_ = step(env, observation, action)
         return Running(env, request.seed, request.actions, observation)
 
 
@@ -94,7 +94,7 @@ def _go_on(running: Running, request: SegmentRequest) -> tuple[Segment, Running]
         action = np.clip(policy(observation) + noise, policy.action_low, policy.action_high)
         # As it is recorded, so that playing it again gives the same numbers.
         actions.append(np.float32(action))
-        following, reward, terminated, truncated, diverged = step(env, actions[-1])
+        following, reward, terminated, truncated, diverged = step(env, observation, actions[-1])
         over = terminated or truncated or diverged or len(actions) == request.episode_length
         rows.append((observation, actions[-1], following, reward, terminated, over, diverged))
         observation = following

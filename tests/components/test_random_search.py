@@ -130,3 +130,15 @@ def test_a_step_that_is_not_finite_is_not_taken() -> None:
         weights, deltas, returns, -returns, step_size=1.0, num_top_directions=1, scale_by_std=False
     )
     np.testing.assert_array_equal(moved, weights)
+
+
+def test_no_number_of_directions_stands_for_all() -> None:
+    weights, deltas = jnp.zeros((1, 2)), jax.random.normal(jax.random.key(0), (6, 1, 2))
+    returns = jnp.arange(6.0)
+    steps = [
+        random_search.step(
+            weights, deltas, returns, -returns, step_size=0.1, num_top_directions=number
+        )
+        for number in (0, 6)
+    ]
+    np.testing.assert_array_equal(*steps)

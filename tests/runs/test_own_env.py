@@ -49,6 +49,8 @@ def test_the_whole_loop(tmp_path: Path) -> None:
 def test_the_whole_loop_with_simulated_physics(tmp_path: Path) -> None:
     env = envs.get_environment("inverted_pendulum", backend="mjx")
     there_and_back(env, "InvertedPendulum", "mjx", tmp_path)
+    batch = {"num_envs": 4, "batch_size": 40, "episode_length": 10, "num_iterations": 1}
+    assert len(ail.train(env, algorithm="trpo", **batch).policies) == 1
 
 
 def test_the_whole_loop_in_mujoco_playground(tmp_path: Path) -> None:

@@ -186,6 +186,10 @@ def test_resuming_a_finished_run_changes_nothing(
     for name in ("metrics.csv", "seconds.csv"):
         assert (copy / name).read_bytes() == (directory / name).read_bytes()
     np.testing.assert_array_equal(again.policies[5].weights, result.policies[5].weights)
+    shutil.rmtree(copy / "checkpoints")
+    with pytest.raises(UserError, match="has a result but no checkpoints"):
+        toy_run.run(toy_plan(), copy, resume=True)
+    assert (copy / "metrics.csv").read_bytes() == (directory / "metrics.csv").read_bytes()
 
 
 def test_another_run_is_never_overwritten_or_continued(
@@ -277,7 +281,7 @@ WRONG = {
     "are of Swimmer-v5, not of Hopper-v5": {"env": "hopper"},
     "no such file": {"demonstrations": "missing.npz"},
     "there is no setting 'learning_rate'": {"settings": {"learning_rate": 1}},
-    "num_top_directions is 9: it must be from 1 to num_directions": {
+    "num_top_directions is 9: it must be at most num_directions": {
         "settings": {"num_directions": 8, "num_top_directions": 9}
     },
     "noise_std is 0.0: it must be positive": {"settings": {"noise_std": 0}},

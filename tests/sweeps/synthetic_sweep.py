@@ -19,7 +19,7 @@ HARD_TASKS = {"Ant-v5": (-50.0, 6000.0), "Humanoid-v5": (120.0, 7000.0)}
 # Written out, because committed results have these columns.
 COLUMNS = (
     *("cell", "label", "algorithm", "env_id", "preset", "settings"),
-    *("demonstrations", "num_trajectories", "subsample", "seed"),
+    *("demonstrations", "num_trajectories", "draw_from", "subsample", "states_only", "seed"),
     *("physics", "iterations", "env_steps", "kept_iteration", "return_mean", "return_std"),
     *("length_mean", "last_return", "mean_return_over_training", "steps_to_90"),
     *("expert_return", "random_return", "normalized", "status"),
@@ -60,7 +60,9 @@ def row(
         "settings": "",
         "demonstrations": "",
         "num_trajectories": num_trajectories,
+        "draw_from": "",
         "subsample": 1,
+        "states_only": False,
         "seed": seed,
         "physics": "mujoco",
         "iterations": 40,

@@ -1,5 +1,6 @@
 """Sweeps that several processes train: shards, merging, and one directory for all."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ from ailsrs_jax import files
 from ailsrs_jax.errors import InUseError
 from ailsrs_jax.files import write_json
 from ailsrs_jax.runs.storage.directory import claimed, locked
+from ailsrs_jax.sweeps.cells import Sweep
 from ailsrs_jax.sweeps.merge import merge_sweeps
 from ailsrs_jax.sweeps.spec import expand
-from ailsrs_jax.sweeps.stacks import begun_stacks
+from ailsrs_jax.sweeps.stacks import begun_stacks, stack_directory
 from ailsrs_jax.sweeps.sweep import choose_units, run_units
 from ailsrs_jax.sweeps.tables import failed_row, load_row, save_row
 from tests.sweeps.toy_sweep import Watch, quick_grid, two_cells
@@ -143,3 +145,21 @@ def test_what_another_process_trains_is_left_to_it(in_tmp_path: Path) -> None:
     again = Watch()  # of a process that finds its units finished meanwhile
     run_units(expand(spec), units[1:], Path("sweep"), watch=again)
     assert (again.begun, again.rows) == ([], [])
+
+
+def test_a_stack_is_left_to_another_process_until_its_rows_are_saved(in_tmp_path: Path) -> None:
+    grid = expand(two_cells())
+    (unit,) = choose_units(grid, (0, 1), 2)
+    watch = Watch()
+    with locked(stack_directory(Path("sweep"), unit)):
+        rows = ail.sweep(two_cells(), "sweep", watch=watch)
+    assert [row["status"] for row in rows] == ["not run", "not run"]
+    assert all("another process is writing to" in row["status"] for row in watch.rows)
+    assert [row["status"] for row in ail.sweep(two_cells(), "sweep")] == ["done", "done"]
+
+
+def test_what_uses_all_cores_is_trained_alone(in_tmp_path: Path) -> None:
+    (engine,) = {cell.engine for cell in expand(two_cells()).cells}
+    for name, num_units in {engine: 1, "mujoco": 2, "gymnasium": 2}.items():
+        cells = [dataclasses.replace(cell, engine=name) for cell in expand(two_cells()).cells]
+        assert len(choose_units(Sweep(tuple(cells), 2), (0, 1), 64)) == num_units

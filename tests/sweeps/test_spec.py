@@ -198,11 +198,16 @@ def test_another_file_of_the_same_name_is_another_sweep(
     spec = grid(demonstrations)
     expand(spec).save(Path("sweep/sweep.json"))
     (begun,) = load_sweep(Path("sweep/sweep.json")).cells
+    drawing = grid(demonstrations, num_trajectories=1, draw_from=2, seeds=[0, 1])
+    drawn = expand(drawing).cells
     recorded = ail.load_demonstrations(demonstrations)
     other = recorded.replace(observations=0.5 * recorded.observations)
     save_demonstrations(other, demonstrations)
     with pytest.raises(ail.UserError, match=r"point_mass\.npz has changed since the sweep began"):
         begun.make_plan()
+    for cell in drawn:
+        with pytest.raises(ail.UserError, match="has changed since the sweep began"):
+            cell.make_plan()
     with pytest.raises(ail.UserError, match=r"demonstrations_sha256 of .* is .*, was .*; choose"):
         expand(spec).save(Path("sweep/sweep.json"))
     swimmer = other.replace(
@@ -230,9 +235,10 @@ def test_numbers_too_long_to_print_are_refused(key: str, in_tmp_path: Path) -> N
     {
         "smoke": 8,
         "paper": 192,
+        "paper_linear": 144,
         "curves": 20,
         "ablations": 160,
-        "ant_humanoid": 18,
+        "ant_humanoid": 27,
         "baselines": 12,
         "table_1": 6,
     }.items(),

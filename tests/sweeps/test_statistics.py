@@ -147,6 +147,10 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         row(1, cell="j", label="ours", algorithm="gail"),
         row(1, cell="k", label="theirs", algorithm="ailsrs"),
         row(1, cell="l", label="theirs", algorithm="ars", num_trajectories=""),
+        row(1, cell="m", label="drawn"),
+        row(1, cell="n", label="drawn", draw_from=40),
+        row(1, cell="o", label="seen"),
+        row(1, cell="p", label="seen", states_only=True),
     )
     assert statistics.series_names(table) == {
         "a": "AILSRS",
@@ -161,6 +165,10 @@ def test_series_are_told_apart_only_where_they_meet() -> None:
         "j": "ours (gail)",
         "k": "theirs (ailsrs)",
         "l": "theirs (ars)",
+        "m": "drawn (the first)",
+        "n": "drawn (drawn from 40)",
+        "o": "seen (with actions)",
+        "p": "seen (states alone)",
     }
 
 
@@ -195,6 +203,19 @@ def test_conditions_are_shared_by_all_series_at_once() -> None:
     common = statistics.comparable(groups)
     assert {group.env_id for mine in common.values() for group in mine} == {"Swimmer-v5"}
     assert statistics.shared_conditions(groups) == {("Swimmer-v5", 10)}  # for ARS, too
+
+
+def test_a_series_without_demonstrations_is_compared_with_any() -> None:
+    imitates, other, learns = statistics.group_cells(
+        cells(
+            row(1, num_trajectories=10),
+            row(0.5, num_trajectories=20),
+            row(0.8, label="ARS", num_trajectories=""),
+        )
+    )
+    pairs = statistics.shared_scores([imitates, other], [learns])
+    np.testing.assert_allclose(pairs, [([1.0], [0.8]), ([0.5], [0.8])])
+    np.testing.assert_allclose(statistics.shared_scores([learns], [other]), [([0.8], [0.5])])
 
 
 def test_scores_leave_out_what_was_not_measured() -> None:

@@ -114,6 +114,7 @@ def test_mistakes(point_mass: PointMass, point_mass_expert: Demonstrations) -> N
             "algorithm": "bc",
             "validation_fraction": 1.5,
         },
+        "32 bits, below 2^31": {"algorithm": "bc", "num_evaluation_episodes": 2**26},
         "batch_size is 7: it must be a multiple": {"algorithm": "gail", "batch_size": 7},
         "reward_after_end is 0.5: imitation_reward=airl": {"imitation_reward": "airl"},
         "it must be least_squares, cross_entropy or a function": {"discriminator_loss": "hinge"},

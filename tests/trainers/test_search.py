@@ -254,6 +254,13 @@ def test_the_penalty_is_controlled_by_the_gap_of_the_scores(changed: Any) -> Non
         assert 0.29 < float(state.adversary.penalty) <= 10.0
 
 
+def test_scores_that_are_not_finite_do_not_move_the_penalty(changed: Any) -> None:
+    trainer = changed(score_gap=0.1, gradient_penalty=10.0, discriminator_learning_rate=1e38)
+    state, metrics = jax.jit(trainer.update)(trainer.init(jax.random.key(0)))
+    assert not np.isfinite(metrics["expert_score"])
+    assert float(state.adversary.penalty) == 10.0
+
+
 def test_a_controlled_penalty_decays_too(changed: Any) -> None:
     trainer = changed(
         score_gap=1e-6,  # so it would rise

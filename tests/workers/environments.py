@@ -65,6 +65,24 @@ class Placed(Mass):
         self.state = np.float64(observation)
 
 
+class InPlace(Mass):
+    """Moves the array that it has handed out."""
+
+    def reset(self, **arguments: Any) -> Any:
+        self.handed, info = super().reset(**arguments)
+        return self.handed, info
+
+    def step(self, action: np.ndarray) -> Any:
+        self.handed[:], *rest = super().step(action)
+        return self.handed, *rest
+
+
+class Far(Mass):
+    def reset(self, **arguments: Any) -> Any:
+        observation, info = super().reset(**arguments)
+        return 1e12 * observation, info
+
+
 class Raising(Mass):
     def step(self, action: np.ndarray) -> Any:
         raise ZeroDivisionError("no such force")
@@ -116,6 +134,10 @@ class Hanging(Mass):
 
 class Buttons(Mass):
     action_space = Discrete(2)
+
+
+class Unbounded(Mass):
+    action_space = Box(-np.inf, np.inf, (1,), np.float32)
 
 
 class Words(Mass):

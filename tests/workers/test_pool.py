@@ -86,6 +86,10 @@ def test_they_are_those_of_a_plain_loop(mass: GymnasiumEnv) -> None:
     assert not episodes.diverged.any()
 
 
+def test_an_environment_may_move_what_it_has_handed_out(mass: GymnasiumEnv) -> None:
+    assert_same(run(GymnasiumEnv(make("InPlace"), workers=1)), run(mass))
+
+
 def test_the_number_of_workers_does_not_matter(mass: GymnasiumEnv) -> None:
     alone = GymnasiumEnv(make("Mass"), workers=1)
     assert_same(run(alone), run(mass))
@@ -130,6 +134,8 @@ def test_demonstrated_states_to_begin_from(name: str, caplog: pytest.LogCaptureF
     np.testing.assert_allclose(later.observations[0], whole.observations[0, 4:], atol=1e-3)
     np.testing.assert_array_equal(later.observations[1], whole.observations[1, :5])
     assert not caplog.text
+    keys = jax.random.split(jax.random.key(0), 2)
+    assert len(set(jax.vmap(env.state_at)(whole.observations[:, 4], keys).seed.tolist())) == 2
 
 
 def test_what_cannot_be_put_there_is_told_once(
@@ -171,6 +177,7 @@ def test_the_module_of_an_environment_may_be_anywhere(
     ("name", "problem"),
     [
         ("Buttons", "its actions are Discrete.* must be a Box of real numbers"),
+        ("Unbounded", "give them a finite range"),
         ("Words", "it observes Text.* no vector of numbers"),
     ],
 )
@@ -247,6 +254,9 @@ def test_nan_is_divergence() -> None:
     assert episodes.diverged.any()
     assert np.isfinite(episodes.observations).all()
     assert np.array_equal(np.isnan(episodes.env_rewards).any(axis=1), episodes.diverged)
+    far = run(GymnasiumEnv(make("Far"), workers=1))
+    assert far.diverged.all()
+    assert not far.lengths.any()
 
 
 @pytest.mark.parametrize("name", ["Dying", "Hanging"])

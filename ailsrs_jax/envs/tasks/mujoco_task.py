@@ -114,7 +114,7 @@ class MujocoTask(Env):
         )
         return InitialState(qpos, self._initial_velocity(qvel_key))
 
-    def state_at(self, observation: jax.Array) -> InitialState:
+    def state_at(self, observation: jax.Array, _: jax.Array | None = None) -> InitialState:
         """Return the state of ``observation (n,)``; what it lacks is as in the initial pose."""
         state = {"qpos": self._initial_qpos, "qvel": jnp.zeros(self.physics.model.nv)}
         first = 0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ailsrs_jax.errors import UserError
-from ailsrs_jax.runs.storage.metrics import read_metrics
+from ailsrs_jax.runs.storage.metrics import read_metrics, share_of
 from ailsrs_jax.runs.storage.saved_run import SavedRun, read_run
 
 LEVEL = 0.9  # of the expert's return
@@ -69,9 +69,9 @@ def _summary(run: SavedRun, grid: np.ndarray) -> RunSummary:
         returns.append(course[row])
         distances.append(mine.get("expert_distance", course * np.nan)[row])
         courses.append(course[np.clip(np.searchsorted(steps, grid, "right") - 1, 0, None)])
-        if expert is not None and expert > 0.0:
+        if expert is not None:
             # A run that was killed may lack the time of its last iteration.
-            above = np.flatnonzero(course[: len(clock)] >= LEVEL * expert)
+            above = np.flatnonzero(course[: len(clock)] >= share_of(expert, LEVEL))
             reached.append((steps[above[0]], clock[above[0]]) if above.size else (np.inf, np.inf))
     if not returns:
         raise UserError(f"{run.directory} has kept no policy yet")

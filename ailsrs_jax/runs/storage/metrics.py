@@ -38,6 +38,11 @@ class IterationReport:
         return _divergence(self.iteration, episodes, diverged)
 
 
+def share_of(expert_return: float, share: float) -> float:
+    """Return the threshold of a ``share`` of an expert's return, which may be negative."""
+    return expert_return - (1.0 - share) * abs(expert_return)
+
+
 class CsvFile:
     """A table that a run appends to, such as ``metrics.csv``."""
 

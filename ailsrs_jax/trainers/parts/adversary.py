@@ -13,6 +13,7 @@ from flax import struct
 from ailsrs_jax.components import discriminator
 from ailsrs_jax.components.descent import descend
 from ailsrs_jax.components.discriminator import LOSSES, REWARDS
+from ailsrs_jax.components.finite import finite_or
 from ailsrs_jax.components.sampling import sample_steps
 from ailsrs_jax.data.demonstrations import Demonstrations
 from ailsrs_jax.errors import UserError
@@ -159,7 +160,8 @@ class Adversary:
         if is_used(settings.score_gap):
             gap = metrics["expert_score"] - metrics["policy_score"]
             controlled = penalty * jnp.exp(2.0 * (gap - settings.score_gap))
-            state = state.replace(penalty=jnp.clip(controlled, 0.03 * highest, highest))
+            controlled = finite_or(jnp.clip(controlled, 0.03 * highest, highest), state.penalty)
+            state = state.replace(penalty=controlled)
         return state, metrics
 
     def rewards(self, state: AdversaryState, inputs: jax.Array) -> jax.Array:

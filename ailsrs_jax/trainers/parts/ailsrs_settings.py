@@ -12,6 +12,7 @@ from ailsrs_jax.trainers.parts.settings import (
     Positive,
     PositiveUpToOne,
     UpToOne,
+    is_used,
 )
 
 
@@ -25,10 +26,11 @@ class AilsrsSettings(AdversarySettings):
     num_iterations: int = 100_000
     #: iterations of a cycle, the schedule of step size, noise and penalty; 0: all are one cycle
     cycle_iterations: FromZero = 0
-    finish_distance: Positive = 0.3  #: training ends after a cycle if that of the kept is smaller
+    #: training ends after a cycle if the distance of the kept policy is at most this
+    finish_distance: Positive = 0.3
     updates_per_iteration: int = 1  #: steps of the search between two evaluations
     num_directions: int = 320
-    num_top_directions: int = 320  #: the paper uses all
+    num_top_directions: FromZero = 320  #: 0: all, as in the paper
     step_size: Positive = 0.02
     final_step_size: float = 0.02  #: reached linearly at the end of a cycle
     noise_std: Positive = 0.03
@@ -93,7 +95,7 @@ class AilsrsSettings(AdversarySettings):
                 "policy=mlp needs behavior_cloning_start=true: the search changes only the last "
                 "layer of the cloned network"
             )
-        if self.recentre_beyond and self.standardize_with == "running":
+        if is_used(self.recentre_beyond) and self.standardize_with == "running":
             raise UserError(
                 "recentre_beyond needs standardize_with=expert: running statistics have changed "
                 "what the weights of the kept policy do"

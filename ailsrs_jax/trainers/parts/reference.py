@@ -62,7 +62,7 @@ class Reference(struct.PyTreeNode):
                 f"only every {self.stride}th step of the demonstrations is kept: search_length is "
                 f"{search_length}, energy_share needs at least {self.stride}"
             )
-        if shorter < whole and (self.lengths < whole).any():
+        if shorter < whole and (np.asarray(self.lengths) < whole).any():
             raise UserError(
                 "some demonstrations end early, so energy_share would reward early ends in "
                 f"episodes of {search_length} steps: set energy_share or search_length to 0"
@@ -114,7 +114,8 @@ class Reference(struct.PyTreeNode):
         if not is_used(demonstrated) or not starts_at_observations(env):
             return resets
         episode, time = sample_steps(step_key, self.lengths, num_starts)
-        states = jax.vmap(env.state_at)(self.unstandardize(self.observations[episode, time]))
+        observed = self.unstandardize(self.observations[episode, time])
+        states = jax.vmap(env.state_at)(observed, resets)
         # Systematic sampling: each start counts with the probability ``demonstrated``.
         edges = jnp.floor(demonstrated * jnp.arange(num_starts + 1) + jax.random.uniform(share_key))
         chosen = jnp.diff(edges) > 0
@@ -208,10 +209,9 @@ def make_reference(
                 )
             logger.warning("demonstrations left out, because they are unlike most: %s", numbers)
         demonstrations = jax.tree.map(lambda x: x[~unlike], demonstrations)
-    observations, lengths, alive = map(
-        jnp.asarray,
-        (demonstrations.observations, demonstrations.lengths, demonstrations.alive),
-    )
+    observations, alive = map(jnp.asarray, (demonstrations.observations, demonstrations.alive))
+    with jax.ensure_compile_time_eval():  # require_comparable looks at them
+        lengths = jnp.asarray(demonstrations.lengths)
     actions = demonstrations.actions
     actions = jnp.zeros((*alive.shape, 0)) if actions is None else jnp.asarray(actions)
     statistics = normalizer.update(normalizer.init(observations.shape[-1]), observations, alive)

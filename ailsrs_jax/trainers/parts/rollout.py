@@ -156,12 +156,12 @@ def merge_vmapped_axis(function: Callable[..., Any]) -> Callable[..., Any]:
     def _of_many(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[Any, Any]:
         def merge(batched: bool, x: jax.Array) -> jax.Array:
             x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
-            return x.reshape(-1, *x.shape[2:])
+            return x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])  # may hold nothing
 
         def split(x: jax.Array) -> jax.Array:
             if x.ndim == 0:
                 return jnp.broadcast_to(x, axis_size)
-            return x.reshape(axis_size, -1, *x.shape[1:])
+            return x.reshape(axis_size, len(x) // axis_size, *x.shape[1:])
 
         results = merged(*jax.tree.map(merge, tuple(in_batched), arguments))
         results = jax.tree.map(split, results)

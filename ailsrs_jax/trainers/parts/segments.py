@@ -105,8 +105,10 @@ def collect(
         actions = policy.clip(drawn_actions)
         next_state = jax.vmap(env.step)(env_state, actions)
         diverged = jax.vmap(has_diverged)(env_state, actions, next_state)
-        terminated = next_state.done != 0
-        over = terminated | diverged | (time == episode_length)
+        done = next_state.done != 0
+        over = done | diverged | (time == episode_length)
+        # Brax's wrappers say that an episode is done at a time limit of theirs, too.
+        terminated = done & (next_state.info.get("truncation", 0) == 0)
         steps = Steps(
             observations=env_state.obs,
             drawn_actions=drawn_actions,

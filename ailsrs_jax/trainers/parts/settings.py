@@ -64,7 +64,7 @@ def validate(settings: Any) -> None:
         top, most = settings.num_top_directions, settings.num_directions
         if top > most:
             raise UserError(
-                f"setting num_top_directions is {top}: it must be from 1 to num_directions, {most}"
+                f"setting num_top_directions is {top}: it must be at most num_directions, {most}"
             )
 
 

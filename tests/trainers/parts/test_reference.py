@@ -190,3 +190,12 @@ def test_a_task_that_makes_its_observation_otherwise_is_reset() -> None:
     reference = reference_of(np.ones((1, 2, 8)), [2])
     starts = reference.draw_starts(Doubled(physics="mujoco"), jax.random.key(0), 3, 0.5)
     assert jnp.issubdtype(starts.dtype, jax.dtypes.prng_key)
+
+
+def test_it_can_be_judged_in_a_trace_of_the_program() -> None:
+    """As a sweep does, which checks each cell without computing anything."""
+
+    def check() -> None:
+        reference_of(np.ones((1, 4, 2)), [4]).require_comparable(2, 4)
+
+    jax.eval_shape(check)

@@ -8,7 +8,7 @@ from ailsrs_jax.components.policy import LinearPolicy
 from ailsrs_jax.envs.interface import action_range, starts_at_observations
 from ailsrs_jax.envs.registry import make_env
 from ailsrs_jax.trainers.parts.episodes import Episodes
-from ailsrs_jax.trainers.parts.rollout import simulate
+from ailsrs_jax.trainers.parts.rollout import merge_vmapped_axis, simulate
 from tests.point_mass import PointMass
 
 
@@ -148,3 +148,9 @@ def test_both_engines_give_the_same_episodes() -> None:
     )
     np.testing.assert_allclose(result.observations, reference.observations, atol=2e-3)
     np.testing.assert_allclose(result.env_returns, reference.env_returns, atol=0.05)
+
+
+def test_arrays_that_hold_nothing_are_merged_too() -> None:
+    """As states of actuators are in a model that has none."""
+    empty = jnp.zeros((2, 3, 0))
+    assert jax.vmap(merge_vmapped_axis(lambda x: x))(empty).shape == (2, 3, 0)

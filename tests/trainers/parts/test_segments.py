@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.wrappers.training import EpisodeWrapper
 
 from ailsrs_jax.components.policy import MlpPolicy, repeated
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
@@ -71,6 +72,14 @@ def test_episodes_follow_one_another(push: float, point_mass: PointMass) -> None
         np.testing.assert_array_equal(lengths[~outside], limit)
     np.testing.assert_array_equal(np.clip(steps.drawn_actions, -1, 1), steps.actions)
     np.testing.assert_allclose(steps.env_rewards, -np.square(following[..., 0]), rtol=1e-5)
+
+
+def test_the_limit_of_a_wrapper_is_no_terminal_state(point_mass: PointMass) -> None:
+    env = EpisodeWrapper(point_mass, 5, 1)
+    episodes = segments.begin(env, jax.random.key(0), 2, 30)
+    _, steps = segments.collect(env, some_policy(0.0, 0.1), episodes, jax.random.key(1), 20, 30)
+    np.testing.assert_array_equal(np.flatnonzero(steps.over[:, 0]) % 5, 4)
+    assert not steps.terminated.any()
 
 
 def test_actions_are_drawn_from_the_gaussian(point_mass: PointMass) -> None:

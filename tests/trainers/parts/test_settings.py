@@ -52,9 +52,13 @@ def test_what_makes_none(message: str, change: dict[str, Any]) -> None:
 
 
 def test_traced_ones_may_be_anything() -> None:
-    def make(step_size: jax.Array) -> jax.Array:
-        validate(dataclasses.replace(AilsrsSettings(), step_size=step_size))
-        return step_size
+    def make(number: jax.Array) -> jax.Array:
+        settings = dataclasses.replace(
+            AilsrsSettings(standardize_with="expert"), step_size=number, recentre_beyond=number
+        )
+        validate(settings)
+        settings.require_consistent()
+        return number
 
     jax.jit(make)(-1.0)
 

@@ -24,6 +24,7 @@ from experiments.evidence import (
     Claim,
 )
 
+SPREAD = "standard deviation over seeds, pooled over the numbers of demonstrations"
 STARTS = "(counted after the start: a clone for AILSRS and, on HalfCheetah, for GAIL)"
 
 
@@ -61,13 +62,14 @@ def _each_seed_reaches(label: str) -> Claim:
 
 
 def _steadier(label: str, task: str, text: str) -> Claim:
-    rule = f"standard deviation over seeds: {label}'s at most BC's, for each number"
+    rule = f"{SPREAD}: {label}'s at most BC's"
     return Claim(text, rule, partial(rules.steadier, label=label, other="BC", tasks=[task]))
 
 
-def _above_cloning(label: str, task: str, text: str) -> Claim:
-    rule = f"mean normalised return: {label}'s above BC's, for each number"
-    return Claim(text, rule, partial(rules.higher, label=label, other="BC", tasks=[task]))
+def _somewhat_above_cloning(label: str, task: str, text: str) -> Claim:
+    rule = f"mean normalised return: {label}'s above BC's by at most 0.3, for each number"
+    checks = partial(rules.higher, label=label, other="BC", task=task, at_most=0.3)
+    return Claim(text, rule, checks)
 
 
 def _within_five_percent(label: str) -> Claim:
@@ -112,7 +114,7 @@ CLAIMS = {
         ),
         Claim(
             "Reproducible: random search learns stabler policies than deep reinforcement learning",
-            "standard deviation over seeds: AILSRS's at most GAIL's, under each of 16 conditions",
+            f"{SPREAD}: AILSRS's at most GAIL's, on each of the four tasks",
             partial(rules.steadier, label="AILSRS", other="GAIL", tasks=TASKS),
         ),
         Claim(
@@ -138,7 +140,8 @@ CLAIMS = {
         ),
         Claim(
             "Starting from BC makes AILSRS learn faster",
-            "fewer steps to 90 % of the expert than from zero weights, median",
+            "fewer steps to 90 % of the expert than from zero weights, median; if neither median "
+            "is reached, more seeds that get there",
             rules.cloned_start_is_faster,
             ABLATIONS,
         ),
@@ -163,7 +166,11 @@ CLAIMS = {
         _steadier("GAIL", CHEETAH, "GAIL's standard deviation is very small, unlike BC's"),
         _reaches("AILSRS", CHEETAH, "AILSRS, from BC, reaches the expert from the fewest"),
         _steadier("AILSRS", CHEETAH, "AILSRS's standard deviation is smaller than BC's"),
-        _above_cloning("AILSRS", CHEETAH, "AILSRS is better than BC, through interaction"),
+        Claim(
+            "AILSRS is better than BC, through interaction",
+            "mean normalised return: AILSRS's above BC's, for each number",
+            partial(rules.higher, label="AILSRS", other="BC", task=CHEETAH),
+        ),
     ],
     "Figure 2: Hopper": [
         _cloned(HOPPER, FEWEST, "10.325"),
@@ -171,8 +178,7 @@ CLAIMS = {
         _cloned(HOPPER, MOST, "15.413", ", similar to the expert"),
         Claim(
             "BC is more stable than on HalfCheetah",
-            "standard deviation of the normalised return over seeds below HalfCheetah's, each "
-            "number",
+            f"{SPREAD}: below HalfCheetah's",
             rules.hopper_is_steadier_to_clone,
             paper="15.413 against 129.12 from 40",
         ),
@@ -196,8 +202,8 @@ CLAIMS = {
             rules.thirty_is_best,
             paper="890.823 from 30",
         ),
-        _above_cloning("GAIL", WALKER, "BC is somewhat below GAIL"),
-        _above_cloning("AILSRS", WALKER, "BC is somewhat below AILSRS"),
+        _somewhat_above_cloning("GAIL", WALKER, "BC is somewhat below GAIL"),
+        _somewhat_above_cloning("AILSRS", WALKER, "BC is somewhat below AILSRS"),
         _steadier("GAIL", WALKER, "BC is less stable than GAIL"),
         _steadier("AILSRS", WALKER, "BC is less stable than AILSRS"),
         _within_five_percent("GAIL"),
@@ -248,8 +254,8 @@ CLAIMS = {
         _curve(SWIMMER, "Swimmer reaches the expert with 1, 3 and 5 seeds"),
         Claim(
             "Ant and Humanoid learn very slowly and are not competitive within reasonable time",
-            "AILSRS's mean normalised return < 0.9 on each, within 100 iterations (of up to "
-            "100 000)",
+            "AILSRS's mean normalised return < 0.9 on each, and no evaluation of the median seed "
+            "at 0.9, within 100 iterations (of up to 100 000)",
             rules.hard_tasks_fail,
             HARD,
         ),

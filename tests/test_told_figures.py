@@ -30,9 +30,12 @@ from experiments.evidence import (
     HOPPER,
     NUMBERS,
     SWIMMER,
+    WALKER,
     Evidence,
 )
+from experiments.rules import score
 
+LABELS = ("AILSRS", "GAIL")
 README = results.PAGE.parent.parent / "README.md"
 
 
@@ -44,12 +47,21 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
         for task in (CHEETAH, HOPPER, SWIMMER)
     ]
     assert "{} on HalfCheetah, {} on Hopper, {} on Swimmer".format(*clones) in readme
-    for label in ("AILSRS", "GAIL"):
+    for label in LABELS:
         groups = [evidence.group(label, task, number) for task in TASKS for number in NUMBERS]
         assert estimate(interquartile_mean(scores(groups))) in readme, label
         hard = [evidence.group(label, task, sweep=HARD) for task in HARD_TASKS]
         values = [plus_minus(group.values("normalized"), 2) for group in hard]
         assert " and ".join(values) in readme, label
+    pairs = [
+        [np.mean([score(evidence.group(label, task, n)) for n in NUMBERS]) for label in LABELS]
+        for task in (CHEETAH, HOPPER, WALKER, SWIMMER)
+    ]
+    told = (
+        "AILSRS and GAIL return {:.2f} and {:.2f} on HalfCheetah, {:.2f} and {:.2f} on Hopper, "
+        "{:.2f} and {:.2f} on Walker2d, and {:.2f} and {:.2f} on Swimmer."
+    )
+    assert told.format(*np.ravel(pairs)) in readme
     (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
     total, verdicts = claims
     reproduced, partly, rest = re.findall(r"\d+", verdicts)
@@ -76,7 +88,12 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         "AILSRS, a network (`policy=mlp`)": ("network", "AILSRS, 50 transitions", 5, 10),
         "GAIL, a network": ("little_data", "GAIL, 50 transitions", 5, 0),
         "a neural clone": ("little_data", "neural BC, 50 transitions", 10, 0),
-        "AILSRS, ten episodes without actions": ("little_data", "AILSRS, states alone", 3, 10),
+        "AILSRS, ten episodes, actions inferred with the simulator": (
+            "little_data",
+            "AILSRS, states alone",
+            3,
+            10,
+        ),
     }
     for name, (sweep, label, number, first) in rows.items():
         seeds = dict.fromkeys((HOPPER, SWIMMER), range(first, first + number))

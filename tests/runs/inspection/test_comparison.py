@@ -74,10 +74,16 @@ def test_the_cost_is_the_median_over_seeds(recorded: Path, tmp_path: Path) -> No
         compare_runs([tmp_path])
 
 
-def test_an_expert_of_other_episodes_is_not_compared(recorded: Path, tmp_path: Path) -> None:
+def test_experts_with_a_negative_return_or_other_episodes(recorded: Path, tmp_path: Path) -> None:
     for path in recorded.glob("*.*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     result = json.loads((tmp_path / "result.json").read_text())
+    result["expert_return"]["mean"] = -3.0
+    rows = METRICS.replace("100,4,3", "100,-4,3").replace("400,8,2", "400,-3.3,2").format(*SEEDS)
+    (tmp_path / "metrics.csv").write_text(rows)
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    # 0.9 of a negative return is a tenth below it.
+    assert compare_runs([tmp_path]).runs[0].steps_to_90 == 250.0  # of 100 and 400
     result["expert_return"]["episode_length"] = 999
     (tmp_path / "result.json").write_text(json.dumps(result))
     (summary,) = compare_runs([tmp_path]).runs

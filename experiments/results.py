@@ -113,14 +113,15 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
 
 **Processors.** The cells come from more than one processor, and the same command [ends
 differently](../docs/numerics.md#what-is-reproducible) on another one. All AILSRS cells of Figures 2
-and 3 come from one."""
+and 3 come from one. [table_1](#table_1) and [baselines](#baselines) are older than the rest: on
+HalfCheetah, Table I imitates an earlier recording of the expert, with a return of 4537."""
 
 CHANGED_WORLDS = f"""\
 Normalised returns of policies in worlds in which they were not trained, as means over seeds and
-{robustness.NUM_EPISODES} episodes. The policies of AILSRS are linear, of the first seeds of
-[search](#search), and the expert is the neural network that they imitate. The last two columns are
-the numbers that a policy consists of, and the time of one action, while the machine did other
-things, too. `python -m experiments.robustness DIRECTORY` measures them; Ant was left out."""
+{robustness.NUM_EPISODES} episodes. The policies of AILSRS are linear, of earlier runs of the first
+seeds of [search](#search), and the expert is the neural network that they imitate. The last two
+columns are the numbers that a policy consists of, and the time of one action, while the machine did
+other things, too. `python -m experiments.robustness DIRECTORY` measures them; Ant was left out."""
 
 READINGS = """\
 Shares of the expert's return from ten demonstrations. The paper does not say what its experts were.

@@ -288,3 +288,15 @@ def test_add_notes_command_and_commit(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_page_follows_from_the_committed_results() -> None:
     assert results.page(results.read_all(results.RESULTS)) == results.PAGE.read_text()
+
+
+def test_all_cells_of_a_condition_imitate_the_same_expert() -> None:
+    """A normalised return of one means the same for all that a table compares."""
+    found: dict[tuple[Any, ...], list[float]] = {}
+    for name, sweep in results.read_all(results.RESULTS).items():
+        for cell in sweep.done:
+            number = cell.num_trajectories if cell.draw_from is None else None
+            condition = name, cell.env_id, cell.demonstrations, number, cell.draw_from
+            found.setdefault(condition, []).append(cell.expert_return)
+    for condition, returns in found.items():
+        assert max(returns) - min(returns) <= 1e-3 * max(returns), condition

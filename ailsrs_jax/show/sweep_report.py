@@ -109,8 +109,11 @@ def _interquartile_means(groups: Sequence[Group]) -> list[Table]:
         measured = (scores(mine), scores(mine, "normalized_over_training"))
         means = [estimate(interquartile_mean(strata)) if strata else "–" for strata in measured]
         rows.append([series, f"{done} of {sum(group.num_planned for group in mine)}", *means])
-    number = len(shared_conditions(groups))
-    title = f"Interquartile means over {number} condition{'s' * (number > 1)}"
+    shared = shared_conditions(groups)
+    title = f"Interquartile means over {len(shared)} conditions"
+    if len(shared) == 1:
+        ((task, number),) = shared
+        title = f"Interquartile means on {task}" + (f" from {number}" if number else "")
     return [Table(title, ["", "runs", "kept policy", "over training"], rows, COMPARED)]
 
 

@@ -121,7 +121,7 @@ def test_a_series_without_an_expert_does_not_decide_what_is_compared(tmp_path: P
     rows = [row(0.5), row(0.7, label="BC")]
     rows.append(row(0.5, label="ARS", env_id="Swimmer-v5", num_trajectories="", normalized=""))
     results = read_results(write_sweep(tmp_path, rows))
-    assert "Interquartile means over 1 condition\n" in results_table(results)
+    assert "Interquartile means on Hopper-v5 from 10\n" in results_table(results)
 
 
 def test_seeds_that_agree_exactly_have_no_interval_to_draw(tmp_path: Path) -> None:

@@ -173,6 +173,7 @@ def _value(where: str, name: str, text: str, kind: Any) -> str | float | None:
     if kind is str:
         return text
     if kind is bool:
+        requirement(where)(text in ("True", "False"), f"{name} is '{text}', not True or False")
         return text == "True"
     number = _number(where, name, text)
     if kind is float:

@@ -84,6 +84,7 @@ def sweep_results(name: str) -> Path:
         "settings": f"discriminator_loss={name}",
         "preset": "tuned",
         "physics": "mujoco",
+        "states_only": False,
     }
     for file in COLUMNS:
         with (directory / file).open("w") as stream:

@@ -16,6 +16,7 @@ def make_results(draw: st.DrawFn, path: Path) -> None:
     from ailsrs_jax.sweeps.results import CellResult
 
     words = {"cell": "a", "status": "done", "env_id": "Hopper-v5", "settings": "noise_std=1"}
+    words |= {"states_only": "False"}
     names = [field.name for field in dataclasses.fields(CellResult)]
     curve = ["cell", "iteration", "env_steps", "evaluation_return"]
     timing = ["cell", "train_seconds", "compile_seconds", "seconds_to_90_percent", "hardware"]

@@ -98,7 +98,7 @@ def steadier(evidence: Evidence, label: str, other: str, tasks: Sequence[str]) -
 def higher(
     evidence: Evidence, label: str, other: str, task: str, at_most: float = np.inf
 ) -> Iterable[Check]:
-    """Check that ``label`` scores higher than ``other``, by ``at_most`` so much."""
+    """Check that ``label`` scores higher than ``other``, by no more than ``at_most``."""
     for number in NUMBERS:
         mine, theirs = (score(evidence.group(name, task, number)) for name in (label, other))
         yield Check(f"{number}:", f"{mine:.3f} against {theirs:.3f}", 0 < mine - theirs <= at_most)

@@ -245,7 +245,7 @@ def run_unit(
         directories = [output / "cells" / cell.name for cell in group]
         outcomes: Sequence[Result | Exception]
         with contextlib.ExitStack() as held:
-            waiting: Sequence[Cell] = group
+            waiting = [cell for cell in group if cell in unfinished]
             try:
                 if len(group) > 1:  # to the last row, because another process would begin again
                     held.enter_context(locked(stack))

@@ -23,8 +23,8 @@ from ailsrs_jax.runs.storage.metrics import IterationReport, percentage
 from ailsrs_jax.sweeps.cells import Cell
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
 from ailsrs_jax.sweeps.results import DONE
-from ailsrs_jax.sweeps.sweep import Unit, is_done
 from ailsrs_jax.sweeps.tables import TableRow
+from ailsrs_jax.sweeps.unit import Unit, is_done
 
 LINES_IN_A_LOG = 20  # lines of a run where there is no terminal
 WIDTH_OF_A_COURSE = 30  # iterations

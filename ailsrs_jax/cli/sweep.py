@@ -61,6 +61,7 @@ def sweep(
     from ailsrs_jax.sweeps import sweep as sweeps
     from ailsrs_jax.sweeps.estimate import estimate
     from ailsrs_jax.sweeps.spec import expand, read_spec
+    from ailsrs_jax.sweeps.unit import pending
 
     allow(*itertools.chain(*own))
     if (numbers := re.fullmatch(r"(\d{1,18})/(\d{1,18})", shard)) is None:
@@ -71,12 +72,12 @@ def sweep(
     output = output or Path("runs") / spec.stem
     max_parallel = sweeps.MAX_PARALLEL if max_parallel is None else max_parallel
     units = sweeps.choose_units(grid, (int(numbers[1]), int(numbers[2])), max_parallel)
-    pending = sweeps.pending(units, output)
+    left = pending(units, output)
     if dry_run:
         if os.path.lexists(output / sweeps.SWEEP_FILE):
             grid.require_same(output / sweeps.SWEEP_FILE)
-            sweeps.require_same_stacks(pending, output)
-        estimates = estimate(pending)
+            sweeps.require_same_stacks(left, output)
+        estimates = estimate(left)
         print_estimate(terminal.console, estimates)
         terminal.json({"to_train": [dataclasses.asdict(each) for each in estimates]})
         return
@@ -86,7 +87,7 @@ def sweep(
     listening = stop if launcher == "local" else keyboard_interrupts()
     try:
         with listening, SweepProgress(terminal.console, units, output) as watch:
-            rows = sweeps.run_units(grid, pending, output, launcher, track, watch, stop)
+            rows = sweeps.run_units(grid, left, output, launcher, track, watch, stop)
     except KeyboardInterrupt:
         print(f"saved; continue with:\n{this_command()}", file=sys.stderr)
         sys.exit(128 + (stop.received or signal.SIGINT))

@@ -8,8 +8,9 @@ from ailsrs_jax.errors import UserError, os_errors
 from ailsrs_jax.runs.storage.directory import locked
 from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.stacks import begun_stacks
-from ailsrs_jax.sweeps.sweep import SWEEP_FILE, is_done
+from ailsrs_jax.sweeps.sweep import SWEEP_FILE
 from ailsrs_jax.sweeps.tables import TableRow, load_row, write_tables
+from ailsrs_jax.sweeps.unit import is_done
 
 
 def merge_sweeps(output: str | Path, sources: Sequence[str | Path]) -> list[TableRow]:

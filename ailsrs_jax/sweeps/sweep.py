@@ -1,54 +1,26 @@
 """Train the cells of a sweep: which are trained together, and what is left to do."""
 
-import contextlib
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ailsrs_jax.envs.gymnasium_env import GymnasiumEnv
 from ailsrs_jax.errors import UserError, one_line, refusing
 from ailsrs_jax.own_code import allow
-from ailsrs_jax.runs.loop import execute
-from ailsrs_jax.runs.storage.directory import locked
-from ailsrs_jax.runs.storage.journal import Result
-from ailsrs_jax.runs.storage.metrics import IterationReport
 from ailsrs_jax.runs.storage.trackers import require_tracker
 from ailsrs_jax.sweeps.cells import Cell, Sweep
 from ailsrs_jax.sweeps.estimate import estimated_env_steps
-from ailsrs_jax.sweeps.results import DONE, NOT_RUN
+from ailsrs_jax.sweeps.results import NOT_RUN
 from ailsrs_jax.sweeps.spec import MAX_CELLS, expand, read_spec
-from ailsrs_jax.sweeps.stacks import begun_stacks, split_unit, stack_directory
-from ailsrs_jax.sweeps.tables import (
-    ROW_FILE,
-    TableRow,
-    failed_row,
-    finish,
-    load_row,
-    save_row,
-    write_tables,
-)
+from ailsrs_jax.sweeps.stacks import begun_stacks, stack_directory
+from ailsrs_jax.sweeps.tables import TableRow, failed_row, save_row, write_tables
+from ailsrs_jax.sweeps.unit import SweepWatch, Unit, is_done, pending, run_unit
 
 SWEEP_FILE = "sweep.json"
 MAX_PARALLEL = 64  # cells in one program; the same on every machine, so that all shards agree
 
 LAUNCHERS = ("local", "ray")
 RAY_RETRIES = 10  # of a unit whose worker is lost; each resumes from the newest checkpoint
-
-Unit = tuple[Cell, ...]  # cells that are trained together, as a stack if there are several
-
-
-class SweepWatch(Protocol):
-    """An observer of a sweep."""
-
-    def begin(self, cells: Sequence[Cell]) -> None:
-        """Take note that these cells are now trained together."""
-
-    def __call__(self, report: IterationReport) -> None:
-        """Take note of an iteration of these cells."""
-
-    def end(self, row: TableRow) -> None:
-        """Take note of the row of ``results.csv`` of a cell that has finished or failed."""
 
 
 def sweep(
@@ -141,16 +113,6 @@ def choose_units(grid: Sweep, shard: tuple[int, int], max_parallel: int) -> list
     return [units[number] for number in sorted(mine)]
 
 
-def pending(units: Sequence[Unit], output: Path) -> list[Unit]:
-    """Return the units with a cell that is not finished."""
-    return [unit for unit in units if not all(is_done(output, cell) for cell in unit)]
-
-
-def is_done(output: Path, cell: Cell) -> bool:
-    """Tell whether a cell has finished with a policy."""
-    return load_row(output / "cells" / cell.name)[0].get("status") == DONE
-
-
 def run_units(
     grid: Sweep,
     units: Sequence[Unit],
@@ -226,59 +188,6 @@ def _run_on_ray(
             yield unit, problem
     finally:
         ray.shutdown()
-
-
-def run_unit(
-    unit: Unit,
-    output: Path,
-    episodes: int,
-    track: str | None,
-    watch: SweepWatch | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> None:
-    """Train the unfinished cells of a unit, and evaluate the policies that they have kept."""
-    unfinished = [cell for cell in unit if not is_done(output, cell)]
-    if not unfinished:
-        return  # another process has finished them meanwhile
-    stack = stack_directory(output, unit)
-    for group in split_unit(unit, unfinished, output):
-        directories = [output / "cells" / cell.name for cell in group]
-        outcomes: Sequence[Result | Exception]
-        with contextlib.ExitStack() as held:
-            waiting = [cell for cell in group if cell in unfinished]
-            try:
-                if len(group) > 1:  # to the last row, because another process would begin again
-                    held.enter_context(locked(stack))
-                # Cells of a stack that are finished still belong to its checkpoint.
-                waiting = [cell for cell in group if not is_done(output, cell)]
-                if not waiting:
-                    continue
-                if watch is not None:
-                    watch.begin(waiting)
-                plans = [cell.make_plan() for cell in group]
-                for directory in directories:
-                    if not (directory / "config.json").exists():  # it has failed before it began
-                        (directory / ROW_FILE).unlink(missing_ok=True)
-                outcomes = execute(
-                    plans,
-                    directories,
-                    checkpoints=stack / "checkpoints" if len(group) > 1 else None,
-                    resume="where begun",
-                    track=track,
-                    watch=watch,
-                    stop=stop,
-                )
-            except Exception as error:  # of any kind, because the other cells can still be trained
-                outcomes = [error] * len(group)
-            for cell, directory, outcome in zip(group, directories, outcomes, strict=True):
-                if cell in waiting:
-                    if stop():  # an evaluation takes time
-                        raise KeyboardInterrupt
-                    row = finish(cell, outcome, directory, episodes)
-                    if watch is not None:
-                        watch.end(row)
-    if not pending([unit], output):
-        shutil.rmtree(stack, ignore_errors=True)  # each cell has its own checkpoint now
 
 
 def require_same_stacks(units: Sequence[Unit], output: Path) -> None:

@@ -20,6 +20,7 @@ from experiments.claims import CLAIMS
 from experiments.evidence import (
     ABLATIONS,
     CHEETAH,
+    FIGURE_2,
     HOPPER,
     NUM_SEEDS,
     NUMBERS,
@@ -188,6 +189,19 @@ def test_results_that_contradict_the_paper_do_not_reproduce_it(tmp_path: Path) -
     the_contrary(tmp_path)
     for claim, verdict in verdicts(tmp_path).items():
         assert verdict == "not", claim
+
+
+def test_linear_experts_have_verdicts_of_their_own(tmp_path: Path) -> None:
+    as_the_paper_says(tmp_path)
+    the_contrary(tmp_path / "contrary")
+    (tmp_path / "contrary" / "paper").rename(tmp_path / "paper_linear")
+    page = results.page(results.read_all(tmp_path), tmp_path)
+    decided = sum(claim.sweep == FIGURE_2 for claims in CLAIMS.values() for claim in claims)
+    assert (
+        f"{decided} claims. With neural experts: {decided - 1} reproduced, 1 partly. "
+        f"With linear experts: {decided} not."
+    ) in page
+    assert "| Swimmer | 362 | 362, 1.00 | 543, 1.50 |" in page
 
 
 def test_half_is_partly() -> None:

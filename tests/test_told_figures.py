@@ -1,6 +1,7 @@
 """The figures in README and docs are those of the committed results."""
 
 import csv
+import itertools
 import re
 from collections.abc import Iterable, Mapping
 
@@ -26,6 +27,8 @@ from experiments import results
 from experiments.evidence import (
     CHEETAH,
     FEWEST,
+    FIGURE_2,
+    FIGURE_2_LINEAR,
     HARD,
     HOPPER,
     NUMBERS,
@@ -41,14 +44,16 @@ README = results.PAGE.parent.parent / "README.md"
 
 def test_the_readme_agrees_with_the_committed_results() -> None:
     readme = README.read_text()
-    evidence = Evidence(results.read_all(results.RESULTS))
+    sweeps = results.read_all(results.RESULTS)
+    evidence, linear = Evidence(sweeps), Evidence({FIGURE_2: sweeps[FIGURE_2_LINEAR]})
+    conditions = list(itertools.product(TASKS, NUMBERS))
     clones = [
         plus_minus(evidence.group("neural BC", task, FEWEST).values("normalized"), 2)
         for task in (CHEETAH, HOPPER, SWIMMER)
     ]
     assert "{} on HalfCheetah, {} on Hopper, {} on Swimmer".format(*clones) in readme
     for label in LABELS:
-        groups = [evidence.group(label, task, number) for task in TASKS for number in NUMBERS]
+        groups = [evidence.group(label, *where) for where in conditions]
         assert estimate(interquartile_mean(scores(groups))) in readme, label
         hard = [evidence.group(label, task, sweep=HARD) for task in HARD_TASKS]
         values = [plus_minus(group.values("normalized"), 2) for group in hard]
@@ -62,6 +67,11 @@ def test_the_readme_agrees_with_the_committed_results() -> None:
         "{:.2f} and {:.2f} on Walker2d, and {:.2f} and {:.2f} on Swimmer."
     )
     assert told.format(*np.ravel(pairs)) in readme
+    iqms = [
+        estimate(interquartile_mean(scores(linear.group(label, *where) for where in conditions)))
+        for label in LABELS
+    ]
+    assert "With linear experts, the interquartile means are {} and {}.".format(*iqms) in readme
     (claims,) = re.findall(r"(?m)^\*\*(\d+ claims): (.+)\.\*\*$", results.PAGE.read_text())
     total, verdicts = claims
     reproduced, partly, rest = re.findall(r"\d+", verdicts)
@@ -106,6 +116,23 @@ def test_the_readme_agrees_with_the_results_from_little_data() -> None:
         if group.env_id == "Walker2d-v5"
     )
     assert f"five seeds return {walker}, and their clones {clones}." in readme
+
+
+def test_the_readme_agrees_with_the_results_from_little_data_on_ant_and_walker2d() -> None:
+    groups = group_cells(results.read_all(results.RESULTS)["little_data"].cells)
+    found = {
+        (group.series, group.env_id): plus_minus(group.values("normalized"), 2) for group in groups
+    }
+    fields = [
+        found[label, task]
+        for label in ("AILSRS, 50 transitions", "neural BC, 50 transitions", "AILSRS, states alone")
+        for task in ("Ant-v5", WALKER)
+    ]
+    told = (
+        "five seeds return {} and {}, and neural clones {} and {}. From ten episodes without "
+        "actions, three seeds return {} on Ant and {} on Walker2d."
+    )
+    assert told.format(*fields) in README.read_text()
 
 
 def ours_and_gail(cells: Iterable[CellResult]) -> list[dict[str, Group]]:

@@ -86,10 +86,10 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
 - *Tuning.* The settings were chosen on other seeds, from 100 on, but with demonstrations of the
   same forty. Hopper's cycles, and Swimmer's cycles and `keep_within`, were chosen after seeds 0 to
   9 had been seen, so AILSRS has seeds from 10 on there.
-- *Demonstrations.* In [paper](#paper) and [curves](#curves) all seeds have the same demonstrations,
-  the first ones of forty. So their intervals leave out what other demonstrations would change. In
-  [search](#search), [ant_humanoid](#ant_humanoid) and the tables of little data, each seed draws
-  its own.
+- *Demonstrations.* In [paper](#paper), [paper_linear](#paper_linear) and [curves](#curves) all
+  seeds have the same demonstrations, the first ones of forty. So their intervals leave out what
+  other demonstrations would change. In [search](#search), [ant_humanoid](#ant_humanoid) and the
+  tables of little data, each seed draws its own.
 - *GAIL's settings* were not tuned for each task. As in the paper, GAIL starts from behaviour
   cloning on HalfCheetah, where its clone is at the expert's level, and from nothing on the other
   three tasks. On Ant and Humanoid it starts from its clone; the paper makes no such comparison.
@@ -113,8 +113,9 @@ With three seeds it is a rough figure. The paper does not say what its own ± is
 
 **Processors.** The cells come from more than one processor, and the same command [ends
 differently](../docs/numerics.md#what-is-reproducible) on another one. All AILSRS cells of Figures 2
-and 3 come from one. [table_1](#table_1) and [baselines](#baselines) are older than the rest: on
-HalfCheetah, Table I imitates an earlier recording of the expert, with a return of 4537."""
+and 3 come from one, and Figure 2 with linear experts comes from a newer one. [table_1](#table_1)
+and [baselines](#baselines) are older than the rest: on HalfCheetah, Table I imitates an earlier
+recording of the expert, with a return of 4537."""
 
 CHANGED_WORLDS = f"""\
 Normalised returns of policies in worlds in which they were not trained, as means over seeds and

@@ -8,7 +8,6 @@ experiments/results/NAME and adds COMMIT, at which the sweep ran, to the commits
 If no cells of earlier commits are left, delete provenance.json first.
 """
 
-import itertools
 import json
 import shutil
 import subprocess
@@ -30,28 +29,25 @@ from ailsrs_jax.sweeps.cells import load_sweep
 from ailsrs_jax.sweeps.results import COLUMNS, SweepResults, read_results
 from ailsrs_jax.sweeps.statistics import group_cells
 from ailsrs_jax.sweeps.sweep import SWEEP_FILE
-from experiments import readings, robustness
+from experiments import published, readings, robustness, two_readings
 from experiments.claims import CLAIMS, UNTESTED
 from experiments.evidence import (
-    FEWEST,
     FIGURE_2,
     FIGURE_2_LINEAR,
     MOST,
     PAPER_EXPERTS,
-    TASKS,
     Evidence,
     NotRunError,
     judge,
 )
-from experiments.rules import share, short
+from experiments.rules import short
+from experiments.two_readings import summary
 
 EXPERIMENTS = Path(__file__).parent
 RESULTS = EXPERIMENTS / "results"
 PAGE = EXPERIMENTS / "RESULTS.md"
 # Those shown on the page; the folder has more.
 FIGURES = ("figure_2", "figure_3_ailsrs", "scores", "profiles")
-LABELS = ("BC", "GAIL", "AILSRS")  # of Figure 2
-VERDICTS = ("reproduced", "partly", "not", "not yet run")
 
 INTRODUCTION = """\
 # The paper's claims, and our results
@@ -124,17 +120,6 @@ seeds of [search](#search), and the expert is the neural network that they imita
 columns are the numbers that a policy consists of, and the time of one action, while the machine did
 other things, too. `python -m experiments.robustness DIRECTORY` measures them; Ant was left out."""
 
-READINGS = """\
-The paper does not say what its experts were. They may have been linear policies of random search,
-as the method's own are. So Figure 2 has run twice: with neural experts, [paper](#paper), which the
-verdicts above are about, and with linear ones, [paper_linear](#paper_linear), with the same
-settings and with seeds 0 to 2 on each task. No setting was chosen with the linear experts. The
-machine did light work beside them, so their times are less exact. The first table has shares of the
-expert's return from ten and from forty demonstrations. The second one has the verdict on each claim
-that Figure 2 decides under both readings. What the paper says of BC on Swimmer holds only with
-neural experts, and what it says of Hopper holds better with linear ones. Under neither reading does
-BC improve with more demonstrations, as the paper's does."""
-
 CLONES = f"""\
 Shares of the expert's return of the paper's linear policy after behaviour cloning, as means over
 {readings.NUM_SEEDS} seeds and {readings.NUM_EPISODES} episodes. A column is a task and a number of
@@ -145,24 +130,6 @@ from thirty or forty demonstrations on HalfCheetah, Hopper and Walker2d, and und
 improve as much with more data. From ten, no reading comes near on HalfCheetah, Hopper and Swimmer
 at once. Walker2d's linear expert stands still.
 `python -m experiments.readings` makes the clones."""
-
-PUBLISHED = """\
-Shares of the expert's return from one whole trajectory, in version 4 of the tasks. They are the
-figures of Chen et al., *Trust Region Reward Optimization and Proximal Inverse Reward Optimization
-Algorithm* (NeurIPS 2025, arXiv 2509.23135). Chen et al. made all these runs, also those of GAIL;
-none is ours. Their policies are networks, and they used other experts. Their whole trajectory can
-have twenty times as many steps as our fifty transitions. So the table is no comparison. It shows
-how hard it is to learn from one demonstration."""
-PUBLISHED_TASKS = ["Ant", "Humanoid", "Walker2d", "Hopper", "HalfCheetah"]
-PUBLISHED_SHARES = {
-    "GAIL": ["0.17", "0.09", "0.75", "0.97", "0.11"],
-    "DAC": ["0.16", "0.01", "0.00", "0.91", "0.79"],
-    "IQ-Learn": ["0.61", "0.34", "0.55", "0.94", "0.31"],
-    "HyPE": ["0.47", "0.13", "0.27", "0.71", "0.53"],
-    "CSIL": ["0.07", "–", "0.12", "0.00", "0.00"],
-    "ML-IRL": ["0.91", "1.01", "0.87", "0.91", "0.97"],
-    "PIRO": ["1.01", "1.08", "1.02", "0.93", "1.03"],
-}
 
 
 def main() -> None:
@@ -233,19 +200,22 @@ def page(sweeps: Mapping[str, SweepResults], directory: Path = RESULTS) -> str:
         sections += [f"## {section}", markdown_table(header, rows)]
     parts = [
         INTRODUCTION,
-        f"**{counts.total()} claims: {_summary(counts)}.**",
+        f"**{counts.total()} claims: {summary(counts)}.**",
         "## Origin of the results",
     ]
     parts += [_origins(sweeps, directory), "## The experts", _experts(evidence, linear), *sections]
-    parts += ["## Linear or neural experts", READINGS, *_readings(evidence, linear)]
+    parts += [
+        "## Linear or neural experts",
+        two_readings.ABOUT,
+        *two_readings.tables(evidence, linear),
+    ]
     parts += ["## Readings of behaviour cloning", CLONES, readings.table()]
     untested = [list(item) for item in UNTESTED.items()]
     parts += ["## Not tested", markdown_table(["claim", "why"], untested)]
     for name, results in sweeps.items():
         parts += [f"## {name}", *_section(name, results, directory)]
     parts += ["## Changed worlds", CHANGED_WORLDS, robustness.table()]
-    rows = [[method, *shares] for method, shares in PUBLISHED_SHARES.items()]
-    parts += ["## Published figures", PUBLISHED, markdown_table(["", *PUBLISHED_TASKS], rows)]
+    parts += ["## Published figures", published.ABOUT, published.table()]
     return "\n\n".join(parts) + "\n"
 
 
@@ -297,39 +267,6 @@ def _experts(neural: Evidence, linear: Evidence) -> str:
     ours = ["neural, and over the paper's", "linear, and over the paper's"]
     header = ["mean return of the demonstrations", "paper", *ours]
     return markdown_table(header, rows)
-
-
-def _readings(neural: Evidence, linear: Evidence) -> list[str]:
-    """Return the shares and the verdicts under both readings of what the experts were."""
-    shares = []
-    for task, number in itertools.product(TASKS, (FEWEST, MOST)):
-        fields = [f"{short(task)} {number}"]
-        for label, evidence in itertools.product(LABELS, (neural, linear)):
-            try:
-                fields.append(f"{share(evidence.group(label, task, number)):z.2f}")
-            except NotRunError:
-                fields.append("not yet run")
-        shares.append(fields)
-    of_neural, of_linear, rows = Counter[str](), Counter[str](), []
-    for section, claims in CLAIMS.items():
-        for claim in claims:
-            if claim.sweep == FIGURE_2:
-                (_, before), (ours, verdict) = judge(claim, neural), judge(claim, linear)
-                of_neural[before] += 1
-                of_linear[verdict] += 1
-                part = section.removeprefix("Figure 2: ").partition(",")[0]
-                rows.append([part, claim.text, before, f"**{verdict}**", ours])
-    counts = (
-        f"{len(rows)} claims. With neural experts: {_summary(of_neural)}. "
-        f"With linear experts: {_summary(of_linear)}."
-    )
-    columns = [f"{label}, {kind}" for label in LABELS for kind in ("neural", "linear")]
-    header = ["part", "claim", "neural experts", "linear experts", "ours, with linear experts"]
-    return [markdown_table(["", *columns], shares), counts, markdown_table(header, rows)]
-
-
-def _summary(counts: Counter[str]) -> str:
-    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
 
 
 def _section(name: str, results: SweepResults, directory: Path) -> list[str]:
